@@ -1,0 +1,94 @@
+"""Frozen, checked and documented configuration: the base that every dataclass here shares."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+import difflib
+import math
+from typing import Any, TypeVar
+
+C = TypeVar('C', bound='Config')
+
+
+class ConfigError(ValueError):
+    """A value that the user gave and that cannot be used: what, what was expected, what to do."""
+
+
+def option(
+    default: Any,
+    doc: str,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] | None = None,
+) -> Any:
+    """Return a dataclass field with a default, a sentence and the closed range it may lie in."""
+    metadata = {'doc': doc, 'low': low, 'high': high, 'choices': choices}
+    return field(default=default, metadata=metadata)
+
+
+def unknown_name(kind: str, name: object, known: list[str] | tuple[str, ...]) -> ConfigError:
+    """Return the error for a name that is none of those known, with the nearest one if any."""
+    near = difflib.get_close_matches(str(name), known, n=1)
+    hint = f'; did you mean {near[0]!r}?' if near else ''
+    return ConfigError(f'{kind} is {name!r}: expected one of {", ".join(known)}{hint}')
+
+
+def checked(name: str, value: Any, default: Any, metadata: Mapping[str, Any]) -> Any:
+    """
+    Return the value in the type of its default, or raise ConfigError.
+
+    An int is taken where a float is expected; NaN and infinity are refused everywhere.
+    """
+    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if type(value) is not type(default):
+        raise ConfigError(
+            f'{name} is {value!r} ({type(value).__name__}): expected {type(default).__name__}, '
+            f'such as {default!r}'
+        )
+    low, high = metadata.get('low'), metadata.get('high')
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ConfigError(f'{name} is {value}: expected a finite number, such as {default}')
+    if (low is not None and value < low) or (high is not None and value > high):
+        interval = f'[{"-inf" if low is None else low}, {"inf" if high is None else high}]'
+        raise ConfigError(f'{name} is {value}: expected a value in {interval}, such as {default}')
+    choices = metadata.get('choices')
+    if choices is not None and value not in choices:
+        raise unknown_name(name, value, choices)
+    return value
+
+
+@dataclass(frozen=True)
+class Config:
+    """A frozen dataclass whose fields are made with option() and checked on creation."""
+
+    def __post_init__(self) -> None:
+        """Check every field against its default's type, its range and its choices."""
+        for f in fields(self):
+            if f.metadata:
+                value = checked(f.name, getattr(self, f.name), f.default, f.metadata)
+                object.__setattr__(self, f.name, value)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain nested data, ready for JSON."""
+        return {
+            f.name: value.to_dict() if isinstance(value, Config) else value
+            for f in fields(self)
+            for value in [getattr(self, f.name)]
+        }
+
+    @classmethod
+    def from_dict(cls: type[C], data: Mapping[str, Any]) -> C:
+        """Return the configuration that to_dict() gave; unknown names are an error."""
+        known = {f.name: f for f in fields(cls)}
+        values: dict[str, Any] = {}
+        for name, value in data.items():
+            if name not in known:
+                raise unknown_name(f'{cls.__name__} field', name, list(known))
+            nested = known[name].default_factory  # type: ignore[misc]
+            if is_dataclass(nested) and isinstance(value, Mapping):
+                value = nested.from_dict(value)  # type: ignore[attr-defined]
+            values[name] = value
+        return cls(**values)

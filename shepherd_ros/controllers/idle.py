@@ -1,0 +1,31 @@
+"""A floor: shepherds that stand still."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from shepherd_ros.config import Config
+from shepherd_ros.controllers.base import Controller, Memory
+from shepherd_ros.sim.state import WorldState
+
+
+@dataclass(frozen=True)
+class IdleConfig(Config):
+    """No options."""
+
+
+class IdleController(Controller):
+    """Commands zero velocity."""
+
+    name = 'idle'
+    config_type = IdleConfig
+
+    def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
+        """Return zeros, (..., H, 2) m/s."""
+        return torch.zeros_like(seen.shepherds), memory
+
+
+CONTROLLER = IdleController

@@ -1,0 +1,117 @@
+"""
+Pierson's arc: the shepherds stand around the flock and steer it like one unicycle.
+
+A. Pierson and M. Schwager 2015, "Bio-inspired non-cooperative multi-robot herding". The flock here
+is pushed with a force that does not depend on distance, so the arc's opening is chosen from the
+normalised sum of pushes, and its radius from the flock's spread.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+import torch
+from torch import Tensor
+
+from shepherd_ros.config import Config, option
+from shepherd_ros.controllers.base import Controller, Memory, rank
+from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.metrics import flock_spread
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, wrap
+
+
+@dataclass(frozen=True)
+class PiersonConfig(Config):
+    """Options of the Pierson controller; the values are choices, tuned once on the Strömbom flock."""
+
+    lead: float = option(2.0, 'l [m]: the point steered lies so far ahead of the center', low=0.001)
+    gain: float = option(0.05, 'k [1/s]: gain of the steered point toward the goal', low=0.0)
+    max_turn_rate: float = option(0.5, 'the heading turns at most so fast [rad/s]', low=0.0)
+    weakest_push: float = option(
+        0.15, 'least share of the full push, a nearly closed ring', low=0.01, high=0.99
+    )
+    strongest_push: float = option(0.9, 'greatest share of the full push', low=0.01, high=0.99)
+    spread_factor: float = option(3.0, 'kappa [-]: arc radius in flock spreads', low=0.0)
+    min_radius: float = option(4.0, 'smallest arc radius [m]', low=0.0)
+    max_radius: float = option(
+        0.0, 'largest arc radius [m]; 0: 3/4 of the range at which sheep notice shepherds', low=0.0
+    )
+    tracking_gain: float = option(
+        0.0, 'K_d [1/s] of a shepherd toward its place; 0: 1/dt, at most 2', low=0.0
+    )
+    assignment: str = option(
+        'sorted',
+        'sorted: places by bearing, few crossings; fixed: place j for shepherd j',
+        choices=('sorted', 'fixed'),
+    )
+
+
+def push_share(opening: Tensor, team: Tensor) -> Tensor:
+    """Return q(Delta) in [0, 1]: the arc's push over that of all shepherds in one place; q(0) = 1."""
+    half = opening / (2 * team - 2).clamp(min=1)
+    below = team * torch.sin(half)
+    return torch.where(half < 1e-4, 1.0, torch.sin(team * half) / below.clamp(min=1e-9))
+
+
+def opening_for(share: Tensor, team: Tensor) -> Tensor:
+    """Return the arc's opening Delta [rad] with push_share() = share, by refining a grid; (...) each."""
+    low = torch.zeros_like(share)
+    width = 2 * math.pi * (team - 1) / team
+    grid = torch.linspace(0.0, 1.0, 33, dtype=share.dtype, device=share.device)
+    for _ in range(5):  # 32^5 cells: finer than float32
+        shares = push_share(low[..., None] + width[..., None] * grid, team[..., None])
+        cell = (shares[..., 1:-1] >= share[..., None]).sum(dim=-1)  # q falls monotonically
+        low = low + width * grid[cell]
+        width = width / 32
+    return low + width / 2
+
+
+class PiersonController(Controller):
+    """Drives along an arc around the flock; its memory is the heading of the flock as a unicycle."""
+
+    name = 'pierson'
+    config_type = PiersonConfig
+
+    def begin(self, seen: WorldState) -> Memory:
+        """Return the first heading: from the flock to the goal."""
+        return {'heading': bearing(seen.goal - seen.center)}
+
+    def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
+        """Return commands, (..., H, 2) m/s, and the turned heading."""
+        config, center, flock = self.config, seen.center, self.world.flock
+        heading = memory['heading']
+        forward = from_bearing(heading)
+        ahead = center + config.lead * forward - seen.goal  # p - g
+        left = torch.stack([-forward[..., 1], forward[..., 0]], dim=-1)
+        speed = -config.gain * (ahead * forward).sum(dim=-1)
+        turn_rate = -config.gain / config.lead * (ahead * left).sum(dim=-1)
+        turn_rate = turn_rate.clamp(-config.max_turn_rate, config.max_turn_rate)
+        heading = wrap(heading + turn_rate * self.world.dt)
+
+        team = seen.team_size.to(heading.dtype)
+        share = (speed / max(flock.speed, 1e-9)).clamp(config.weakest_push, config.strongest_push)
+        opening = opening_for(share, team.clamp(min=2))
+        notice = flock.shepherd_range if isinstance(flock, StrombomFlock) else 65 / 3
+        spread = flock_spread(seen)[0]
+        radius = (config.spread_factor * spread).clamp(
+            config.min_radius, max(config.max_radius or 0.75 * notice, config.min_radius)
+        )
+        # one shepherd stands opposite to the way to the goal, at the same radius
+        rear = torch.where(team == 1, bearing(seen.goal - center), heading) + math.pi
+        index = torch.arange(seen.shepherds.shape[-2], device=heading.device).to(heading.dtype)
+        step = torch.where(team == 1, 0.0, opening / (2 * team - 2).clamp(min=1))
+        place = rear[..., None] + step[..., None] * (2 * index - team[..., None] + 1)  # (..., H)
+        if config.assignment == 'sorted':
+            around = bearing(seen.shepherds - center[..., None, :])
+            order = rank(wrap(around - rear[..., None]), seen.shepherd_mask)
+            order = torch.where(seen.shepherd_mask, order, torch.zeros_like(order))
+            place = place.gather(-1, order)
+        target = center[..., None, :] + radius[..., None, None] * from_bearing(place)
+        gain = config.tracking_gain or min(1 / self.world.dt, 2.0)
+        velocity = clip_norm(gain * (target - seen.shepherds), self.world.shepherd_speed)
+        return velocity * seen.shepherd_mask[..., None], {'heading': heading}
+
+
+CONTROLLER = PiersonController

@@ -1,0 +1,37 @@
+"""A floor: shepherds that wander at random."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from shepherd_ros.config import Config, option
+from shepherd_ros.controllers.base import Controller, Memory
+from shepherd_ros.sim.noise import direction, Stream
+from shepherd_ros.sim.state import WorldState
+
+
+@dataclass(frozen=True)
+class RandomConfig(Config):
+    """Options of the random controller."""
+
+    hold_steps: int = option(8, 'steps for which a random direction is kept', low=1)
+
+
+class RandomController(Controller):
+    """Commands top speed in a random direction, a new one every hold_steps."""
+
+    name = 'random'
+    config_type = RandomConfig
+
+    def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
+        """Return random velocities, (..., H, 2) m/s."""
+        index = torch.arange(seen.shepherds.shape[-2], device=seen.shepherds.device)
+        drawn = torch.div(seen.step, self.config.hold_steps, rounding_mode='floor')
+        way = direction(seen.seed, drawn, Stream.CONTROL, index, seen.shepherds.dtype)
+        return way * self.world.shepherd_speed, memory
+
+
+CONTROLLER = RandomController

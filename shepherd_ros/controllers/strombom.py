@@ -1,0 +1,149 @@
+"""
+Strömbom's collecting and driving, for several shepherds, with arcs and wide detours.
+
+Roles and positions: Strömbom et al. 2014, J. R. Soc. Interface 11:20140719. Several shepherds in an
+arc around the flock and detours that do not disturb it: El-Fiqi et al. 2020, IEEE Access 8:214658.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+import torch
+from torch import Tensor
+
+from shepherd_ros.config import Config, option
+from shepherd_ros.controllers.base import Controller, Memory, rank
+from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.noise import direction, Stream
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.vectors import bearing, from_bearing, unit, wrap
+
+
+@dataclass(frozen=True)
+class StrombomConfig(Config):
+    """Options of the Strömbom controller. r is the interaction range that its positions are made of."""
+
+    interaction_range: float = option(
+        0.0, "r [m]; 0: the flock's own range of repulsion, 1 m if it has none", low=0.0
+    )
+    position_law: str = option(
+        'strombom',
+        'strombom: drive r sqrt(N) behind, collect r behind, together within r N^(2/3); '
+        'elfiqi: standoff behind a flock of r sqrt(2 N), standoff behind a sheep',
+        choices=('strombom', 'elfiqi'),
+    )
+    standoff: float = option(4.0, 'distance kept by position law elfiqi, R2 [m]', low=0.0)
+    arc_margin: float = option(
+        0.0, 'a detour keeps so far from the farthest sheep [m]; 0: 3 r', low=0.0
+    )
+    arc_tolerance: float = option(
+        0.2, 'no detour once the target is within this angle about the flock [rad]', low=0.0
+    )
+    wing_spacing: float = option(
+        0.0, 'angle between neighbours on the driving arc [rad]; 0: pi / (2 M)', low=0.0
+    )
+    noise: float = option(0.3, 'e [-]: weight of a random direction, each step', low=0.0)
+    stop_range: float = option(
+        3.0, 'stand still while any sheep is within this many r; 0: never', low=0.0
+    )
+
+
+class StrombomController(Controller):
+    """Collects the farthest sheep while the flock is scattered, otherwise drives it from behind."""
+
+    name = 'strombom'
+    config_type = StrombomConfig
+
+    @property
+    def interaction_range(self) -> float:
+        """Return r in metres."""
+        flock = self.world.flock
+        own = flock.sheep_range if isinstance(flock, StrombomFlock) else 1.0
+        return float(self.config.interaction_range or own)
+
+    def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
+        """Return commands, (..., H, 2) m/s."""
+        center = seen.center
+        distance = torch.linalg.vector_norm(seen.sheep - center[..., None, :], dim=-1)
+        distance = distance.masked_fill(~seen.sheep_mask, 0.0)
+        target = self._targets(seen, center, distance)
+        velocity = self._approach(seen, center, distance.amax(dim=-1), target)
+        return velocity * seen.shepherd_mask[..., None], memory
+
+    def _targets(self, seen: WorldState, center: Tensor, distance: Tensor) -> Tensor:
+        """Return where each shepherd wants to be, (..., H, 2) m: behind an outlier or on the arc."""
+        r, n = self.interaction_range, seen.flock_size.to(distance.dtype)
+        if self.config.position_law == 'strombom':
+            together, behind, collect = r * n ** (2 / 3), r * n.sqrt(), r
+        else:
+            together = r * (2 * n).sqrt()
+            behind, collect = together + self.config.standoff, self.config.standoff
+
+        shepherds, free = seen.shepherds, seen.shepherd_mask
+        index = torch.arange(shepherds.shape[-2], device=shepherds.device)
+        farthest = distance.topk(min(shepherds.shape[-2], distance.shape[-1]), dim=-1)
+        stray = farthest.values > together[..., None]  # (..., K), far to near
+        target = torch.zeros_like(shepherds)
+        for k in range(stray.shape[-1] if bool(stray.any()) else 0):
+            which = farthest.indices[..., k, None, None].expand(*seen.sheep.shape[:-2], 1, 2)
+            sheep = seen.sheep.gather(-2, which)
+            away = torch.linalg.vector_norm(shepherds - sheep, dim=-1).masked_fill(~free, torch.inf)
+            nearest = index == away.argmin(dim=-1, keepdim=True)
+            taken = nearest & free & stray[..., k, None]
+            behind_stray = sheep + collect * unit(sheep - center[..., None, :])
+            target = torch.where(taken[..., None], behind_stray, target)
+            free = free & ~taken
+
+        rear = bearing(center - seen.goal)[..., None]
+        around = wrap(bearing(shepherds - center[..., None, :]) - rear)
+        drivers = free.sum(dim=-1, keepdim=True)
+        spacing = self.config.wing_spacing or math.pi / (2 * seen.team_size[..., None])
+        slot = rear + (rank(around, free) - (drivers - 1) / 2) * spacing
+        driving = center[..., None, :] + behind[..., None, None] * from_bearing(slot)
+        return torch.where(free[..., None], driving, target)
+
+    def _approach(self, seen: WorldState, center: Tensor, d_far: Tensor, target: Tensor) -> Tensor:
+        """Return velocities (..., H, 2) m/s toward the targets, round the flock where it is in the way."""
+        config, dt, top = self.config, self.world.dt, self.world.shepherd_speed
+        r, shepherds, center = self.interaction_range, seen.shepherds, center[..., None, :]
+        margin = config.arc_margin or 3 * r
+        radius = (d_far + margin)[..., None]  # (..., 1)
+        to_target = target - shepherds
+        way = unit(to_target)
+        speed = (torch.linalg.vector_norm(to_target, dim=-1) / dt).clamp(max=top)
+
+        offset = shepherds - center
+        d = torch.linalg.vector_norm(offset, dim=-1)
+        wanted = bearing(target - center)
+        turn = wrap(wanted - bearing(offset))
+        next_offset = offset + speed[..., None] * dt * way
+        blocked = torch.linalg.vector_norm(next_offset, dim=-1) < radius
+        detour = (turn.abs() > config.arc_tolerance) & blocked
+
+        stride = top * dt
+        outward = unit(offset)
+        tangent = torch.stack([-outward[..., 1], outward[..., 0]], dim=-1)
+        tangent = tangent * torch.where(turn < 0, -1.0, 1.0)[..., None]
+        spiral = unit(tangent + ((radius - d) / max(stride, 1e-9))[..., None] * outward)
+        # on the arc: the chord of one stride that ends on the circle, on the side of the target
+        cosine = (d * d + stride**2 - radius**2) / (2 * d * stride).clamp(min=1e-9)
+        cosine = cosine.clamp(-1.0, 1.0)[..., None]
+        chord = -outward * cosine + tangent * (1 - cosine * cosine).sqrt()
+        on_arc = torch.where((d < radius - stride)[..., None], spiral, chord)
+        way = torch.where(detour[..., None], on_arc, way)
+        speed = torch.where(detour, torch.full_like(speed, top), speed)
+
+        if config.noise > 0:
+            index = torch.arange(shepherds.shape[-2], device=shepherds.device)
+            random = direction(seen.seed, seen.step, Stream.CONTROL, index, way.dtype)
+            way = unit(way + config.noise * random)
+        apart = torch.linalg.vector_norm(
+            shepherds[..., :, None, :] - seen.sheep[..., None, :, :], dim=-1
+        ).masked_fill(~seen.sheep_mask[..., None, :], torch.inf)
+        speed = speed.masked_fill(apart.amin(dim=-1) < config.stop_range * r, 0.0)
+        return speed[..., None] * way
+
+
+CONTROLLER = StrombomController

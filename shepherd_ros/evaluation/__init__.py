@@ -1,0 +1,1 @@
+"""Whole episodes, many at a time, and what came of them."""

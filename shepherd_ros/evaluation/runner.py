@@ -1,0 +1,42 @@
+"""Run whole episodes of a controller, as many worlds at a time as fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from shepherd_ros.controllers.base import Controller
+from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+
+
+def run_episodes(
+    config: EnvConfig,
+    controller: Controller,
+    seed: int,
+    episodes: int,
+    on_step: Callable[[int], None] = lambda step: None,
+) -> dict[str, Tensor]:
+    """
+    Return the metrics of the episodes with seeds seed .. seed + episodes - 1, (episodes,) each.
+
+    on_step(step) is called after each step of all worlds.
+    """
+    env = ShepherdEnv(config, episodes, lidar=False)
+    env.reset(seed)
+    memory = controller.begin(env.perceived)
+    result: dict[str, Tensor] = {}
+    for step in range(config.world.episode_steps):
+        command, memory = controller.act(env.perceived, memory)
+        info = env.step(command)[-1]
+        result = info.get('final_metrics', result)
+        on_step(step + 1)
+    return result
+
+
+def mean_and_interval(values: Tensor) -> tuple[float, float]:
+    """Return the mean of (E,) values and half its 95 % interval, 1.96 standard errors; NaN for one."""
+    values = values.double()
+    half = 1.96 * values.std() / values.shape[0] ** 0.5 if len(values) > 1 else torch.tensor(torch.nan)
+    return float(values.mean()), float(half)

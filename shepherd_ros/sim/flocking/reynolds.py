@@ -1,0 +1,91 @@
+"""
+Reynolds flock (boids): sheep that always move, keep apart, align and keep together.
+
+C. W. Reynolds 1987, "Flocks, herds and schools", with fear of shepherds added. Raw magnitudes are
+summed and the acceleration is cut, without which the flock does not travel together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from shepherd_ros.config import option
+from shepherd_ros.sim.flocking.base import FlockConfig, FlockModel
+from shepherd_ros.sim.flocking.strombom import offsets
+from shepherd_ros.sim.noise import normal, Stream, uniform
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.vectors import clip_norm, EPSILON, from_bearing
+
+
+@dataclass(frozen=True)
+class ReynoldsFlock(FlockConfig):
+    """Parameters of the Reynolds flock: Table 1 of the paper, unless said otherwise."""
+
+    view_range: float = option(7.5, 'R_n [m]: a sheep sees sheep and shepherds so near', low=0.0)
+    separation: float = option(1.0, 'w_s [-]: weight of repulsion by sheep', low=0.0)
+    alignment: float = option(7.5, 'w_v [-]: weight of matching the mean velocity', low=0.0)
+    cohesion: float = option(1.0, 'w_c [-]: weight of attraction to the local center', low=0.0)
+    fear: float = option(10.0, 'w_f [-]: weight of repulsion by shepherds', low=0.0)
+    max_acceleration: float = option(
+        1 / 3, 'the sum of all terms is cut to this [m/s2] (choice: 1/3)', low=0.0
+    )
+    min_distance: float = option(
+        0.1, 'distances in the repulsions count as at least this [m] (choice)', low=0.001
+    )
+    heading_spread: float = option(
+        0.3, 'standard deviation of first headings around a common one [rad] (choice)', low=0.0
+    )
+
+
+def step(state: WorldState, config: ReynoldsFlock, dt: float) -> tuple[Tensor, Tensor]:
+    """Return sheep and heading after dt; every sheep moves exactly speed * dt."""
+    sheep, velocity = state.sheep, state.heading * config.speed
+    x, y = offsets(sheep, sheep)
+    squared = x * x + y * y
+    alone = torch.eye(sheep.shape[-2], dtype=torch.bool, device=sheep.device)
+    seen = (squared < config.view_range**2) & state.sheep_mask[..., None, :] & ~alone
+    weight = seen.to(sheep.dtype)
+    count = weight.sum(dim=-1, keepdim=True)
+
+    def repulsion(x: Tensor, y: Tensor, squared: Tensor, near: Tensor) -> Tensor:
+        inverse = near / squared.clamp(min=config.min_distance**2)
+        return torch.stack([(x * inverse).sum(dim=-1), (y * inverse).sum(dim=-1)], dim=-1)
+
+    def mean_of_seen(value: Tensor) -> Tensor:
+        total = torch.stack([(weight * v[..., None, :]).sum(-1) for v in value.unbind(-1)], -1)
+        return torch.where(count > 0, total / count.clamp(min=1), value)
+
+    separation = repulsion(x, y, squared, seen)
+    alignment = mean_of_seen(velocity) - velocity
+    cohesion = mean_of_seen(sheep) - sheep
+
+    x, y = offsets(sheep, state.shepherds)
+    squared = x * x + y * y
+    noticed = (squared < config.view_range**2) & state.shepherd_mask[..., None, :]
+    acceleration = (
+        config.separation * separation
+        + config.alignment * alignment
+        + config.cohesion * cohesion
+        + config.fear * repulsion(x, y, squared, noticed)
+    )
+    velocity = velocity + clip_norm(acceleration, config.max_acceleration) * dt
+    length = torch.linalg.vector_norm(velocity, dim=-1, keepdim=True)
+    heading = torch.where(
+        length < EPSILON, state.heading, velocity / length.clamp(min=EPSILON)
+    )
+    return sheep + (config.speed * dt) * heading, heading
+
+
+def first_heading(seed: Tensor, n: int, config: ReynoldsFlock) -> Tensor:
+    """Return one random heading per flock with a normal spread around it; -> (..., n, 2)."""
+    start, index = torch.zeros_like(seed), torch.arange(n, device=seed.device)
+    common = uniform(seed, start, Stream.HEADING, index[:1]) * (2 * torch.pi)
+    return from_bearing(
+        common + config.heading_spread * normal(seed, start, Stream.HEADING, index + 1)
+    )
+
+
+MODEL = FlockModel('reynolds', ReynoldsFlock, first_heading, step)

@@ -1,0 +1,130 @@
+"""The shepherds' lidar: ranges to discs of three types along evenly spread rays (paper, section 3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+import torch
+from torch import Tensor
+
+from shepherd_ros.config import Config, option
+from shepherd_ros.sim.noise import normal, Stream, uniform
+from shepherd_ros.sim.state import WorldState
+
+CHANNELS = ('sheep', 'shepherds', 'goal')
+TOUCHING = 0.01  # [m] range to a body that overlaps the sensor: not 0, which stands for nothing seen
+
+
+@dataclass(frozen=True)
+class LidarConfig(Config):
+    """A lidar with one channel per type; bodies hide others of their own type only, unless told."""
+
+    n_rays: int = option(512, 'rays, evenly spread, ray 0 along +x', low=4, high=65536)
+    range_max: float = option(75.0, 'nothing farther is seen [m]', low=0.1)
+    sheep_radius: float = option(0.5, 'radius of the disc of a sheep [m] (choice)', low=0.001)
+    shepherd_radius: float = option(0.5, 'radius of the disc of a shepherd [m] (choice)', low=0.001)
+    cross_occlusion: bool = option(False, 'sheep and shepherds hide what is behind, of any type')
+    range_noise: float = option(0.0, 'standard deviation of a range [m]', low=0.0)
+    dropout: float = option(0.0, 'chance that a ray of a channel returns nothing', low=0.0, high=1.0)
+
+
+def cast_rays(
+    origin: Tensor,
+    centers: Tensor,
+    radius: Tensor,
+    mask: Tensor,
+    n_rays: int,
+    range_max: float,
+    solid: bool = True,
+) -> Tensor:
+    """
+    Return the range to the nearest disc along each ray, +inf where a ray is free.
+
+    origin (..., 2) m, centers (..., K, 2) m, radius (..., K) m, mask (..., K) bool (False: not there)
+    -> (..., n_rays) m, world frame; ray k points along 2 pi k / n_rays, counter-clockwise from +x.
+    From inside a solid disc every ray returns TOUCHING, from inside one that is not, its rim.
+    Work is done for the rays that a disc covers, an interval of angles, and for no others.
+    """
+    batch, pitch = origin.shape[:-1], 2 * math.pi / n_rays
+    offset = centers - origin[..., None, :]
+    x, y, radius, mask = (
+        t.expand(mask.shape).reshape(-1) for t in (offset[..., 0], offset[..., 1], radius, mask)
+    )
+    distance = torch.hypot(x, y)
+    seen = mask & (distance - radius < range_max)
+    sensor = torch.arange(math.prod(batch), device=origin.device)
+    sensor = sensor.repeat_interleave(centers.shape[-2])[seen]
+    x, y, radius, distance = x[seen], y[seen], radius[seen], distance[seen]
+
+    inside = distance <= radius
+    angle = torch.atan2(y, x)
+    half = torch.asin((radius / distance.clamp(min=1e-12)).clamp(max=1.0))
+    first = torch.ceil((angle - half) / pitch).long()
+    last = torch.floor((angle + half) / pitch).long()
+    count = torch.where(inside, n_rays, (last - first + 1).clamp(min=0, max=n_rays))
+    disc = torch.arange(count.shape[0], device=count.device).repeat_interleave(count)
+    start = (count.cumsum(0) - count)[disc]
+    ray = torch.remainder(first[disc] + torch.arange(disc.shape[0], device=disc.device) - start, n_rays)
+
+    theta = torch.arange(n_rays, device=origin.device, dtype=torch.float64) * pitch
+    cos, sin = theta.cos().to(x.dtype)[ray], theta.sin().to(x.dtype)[ray]
+    x, y, radius, inside = x[disc], y[disc], radius[disc], inside[disc]
+    along, across = x * cos + y * sin, x * sin - y * cos
+    depth = (radius * radius - across * across).clamp(min=0).sqrt()
+    rim = torch.full_like(along, TOUCHING) if solid else along + depth
+    distance = torch.where(inside, rim, along - depth)
+    ranges = torch.full((math.prod(batch) * n_rays,), torch.inf, dtype=x.dtype, device=x.device)
+    ranges.scatter_reduce_(0, sensor[disc] * n_rays + ray, distance, 'amin')
+    return ranges.masked_fill_(ranges > range_max, torch.inf).reshape(*batch, n_rays)
+
+
+def scan(state: WorldState, config: LidarConfig, shepherds: Tensor | None = None) -> Tensor:
+    """
+    Return what the shepherds' lidars see, +inf for no return; -> (..., S, 3, n_rays) m.
+
+    Channels are CHANNELS, rays are aligned with the world. shepherds (S,) int64 names those whose
+    lidars are read, all by default. An absent shepherd sees nothing.
+    """
+    team = state.shepherds.shape[-2]
+    if shepherds is None:
+        shepherds = torch.arange(team, device=state.shepherds.device)
+    origin = state.shepherds[..., shepherds, :]
+    present = state.shepherd_mask[..., shepherds, None]  # (..., S, 1)
+    others = torch.arange(team, device=origin.device) != shepherds[:, None]  # (S, H)
+
+    def channel(centers: Tensor, radius: Tensor, mask: Tensor, solid: bool = True) -> Tensor:
+        mask = (mask[..., None, :] & present).expand(*origin.shape[:-1], centers.shape[-2])
+        return cast_rays(
+            origin, centers[..., None, :, :], radius, mask, config.n_rays, config.range_max, solid
+        )
+
+    def size(radius: float) -> Tensor:
+        return torch.tensor(radius, dtype=origin.dtype, device=origin.device)
+
+    sheep = channel(state.sheep, size(config.sheep_radius), state.sheep_mask)
+    mask = state.shepherd_mask[..., None, :] & others & present
+    team_ranges = cast_rays(
+        origin,
+        state.shepherds[..., None, :, :],
+        size(config.shepherd_radius),
+        mask,
+        config.n_rays,
+        config.range_max,
+    )
+    everywhere = torch.ones_like(state.sheep_mask[..., :1])
+    goal = channel(
+        state.goal[..., None, :], state.goal_radius[..., None, None], everywhere, solid=False
+    )
+    ranges = torch.stack([sheep, team_ranges, goal], dim=-2)
+    if config.cross_occlusion:
+        nearest_body = torch.minimum(sheep, team_ranges)[..., None, :]
+        ranges = torch.where(ranges > nearest_body, torch.inf, ranges)
+    if config.range_noise == 0 and config.dropout == 0:
+        return ranges
+    index = torch.arange(ranges.shape[-2] * config.n_rays, device=origin.device)
+    index = (shepherds[:, None] * index.shape[0] + index).unflatten(-1, ranges.shape[-2:])
+    draws = normal(state.seed, state.step, Stream.RANGE_NOISE, index, ranges.dtype)
+    ranges = (ranges + config.range_noise * draws).clamp(min=TOUCHING)
+    lost = uniform(state.seed, state.step, Stream.DROPOUT, index, ranges.dtype) < config.dropout
+    return torch.where(lost | (ranges > config.range_max), torch.inf, ranges)

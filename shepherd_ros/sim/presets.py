@@ -1,0 +1,68 @@
+"""
+Named settings of what the paper leaves open: the time step and the range of repulsion.
+
+The paper gives no time step, and its interaction range of 10 m makes the flock explode: see the
+comments at each preset. A preset only changes defaults; every value can still be set by itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from shepherd_ros.config import unknown_name
+from shepherd_ros.sim.flocking import flock_model
+from shepherd_ros.sim.world import WorldConfig
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Changes against the default world: dt, and fields of the flock models by name."""
+
+    doc: str
+    dt: float
+    flock: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+
+def _strombom(**changes: Any) -> dict[str, dict[str, Any]]:
+    return {'strombom': changes}
+
+
+PRESETS: dict[str, Preset] = {
+    'default': Preset('0.5 s, r_a 1 m: learning works and a robot can be driven', 0.5),
+    'one_second': Preset('1 s, r_a 1 m: the original model, shrunk by three, has 1 s', 1.0),
+    'scaled_third': Preset('1 s, r_a 2/3 m: the original 2 m / 3', 1.0, _strombom(sheep_range=2 / 3)),
+    'strombom_ra': Preset("1 s, r_a 2 m: Strömbom's own range", 1.0, _strombom(sheep_range=2.0)),
+    'rho_a_one': Preset('0.5 s, rho_a 1: the base value in section 5', 0.5, _strombom(sheep_repulsion=1.0)),
+    'fine_dt': Preset('0.1 s, r_a 1 m: for smooth robots', 0.1),
+    'table_literal': Preset(
+        '1 s, r_a 10 m as printed: the flock expands and never fits the goal', 1.0, _strombom(sheep_range=10.0)
+    ),
+    'metric_attraction': Preset(
+        '0.5 s, r_a 10 m with attraction in metres: keeps every number of Table 1', 0.5,
+        _strombom(sheep_range=10.0, metric_attraction=True),
+    ),
+}
+
+
+def world_preset(name: str = 'default', flock: str = 'strombom') -> WorldConfig:
+    """Return the world of a preset with a flock model, or raise ConfigError."""
+    if name not in PRESETS:
+        raise unknown_name('preset', name, sorted(PRESETS))
+    preset = PRESETS[name]
+    config = flock_model(flock).config(**preset.flock.get(flock, {}))
+    return WorldConfig(dt=preset.dt, flock=config)
+
+
+def training_world(world: WorldConfig) -> WorldConfig:
+    """Return a world whose episodes start as in training (paper, section 4): 1 to 6 shepherds, 4 to 8 m."""
+    spawn = replace(world.spawn, goal_radius_extra=4.0, fewest_shepherds=1)
+    return replace(world, n_sheep=100, n_shepherds=6, goal_radius=4.0, spawn=spawn)
+
+
+def evaluation_world(world: WorldConfig) -> WorldConfig:
+    """Return a world whose episodes start as in evaluation: a goal of 4 m and a team of fixed size."""
+    spawn = replace(world.spawn, goal_radius_extra=0.0, fewest_shepherds=0)
+    return replace(world, goal_radius=4.0, spawn=spawn)
+
+

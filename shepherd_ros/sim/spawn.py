@@ -1,0 +1,55 @@
+"""How an episode starts (paper, section 4, with the goal at the origin)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from shepherd_ros.sim.flocking import model_of
+from shepherd_ros.sim.noise import direction, normal, Stream, uniform
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.world import WorldConfig
+
+
+def spawn(config: WorldConfig, seed: Tensor, dtype: torch.dtype = torch.float32) -> WorldState:
+    """
+    Return the first state of the episodes with these seeds; (...) int64.
+
+    The flock's center lies in a random direction from the goal, the shepherds' center in a random
+    direction from the flock's; each agent is a signed normal distance from its center, in a random direction.
+    """
+    device, zero = seed.device, torch.zeros_like(seed)
+    n, m, start = config.n_sheep, config.n_shepherds, config.spawn
+    one = torch.arange(2, device=device)
+
+    def center(stream: Stream, nearest: float, farthest: float) -> Tensor:
+        way = direction(seed, zero, stream, one[:1], torch.float64)[..., 0, :]
+        share = uniform(seed, zero, stream, one[1:], torch.float64)
+        return way * (nearest + (farthest - nearest) * share)
+
+    def around(stream: Stream, count: int) -> Tensor:
+        index = torch.arange(count, device=device)
+        distance = start.position_std * normal(seed, zero, stream, index + count, torch.float64)
+        return direction(seed, zero, stream, index, torch.float64) * distance[..., None]
+
+    flock = center(Stream.FLOCK_PLACE, start.flock_distance_min, start.flock_distance_max)
+    team = flock + center(
+        Stream.SHEPHERD_PLACE, start.shepherd_distance_min, start.shepherd_distance_max
+    )
+    extra = uniform(seed, zero, Stream.GOAL_RADIUS, one[:1], torch.float64)[..., 0]
+    fewest = start.fewest_shepherds or m
+    spread = uniform(seed, zero, Stream.N_SHEPHERDS, one[:1], torch.float64)
+    size = fewest + (spread * (m - fewest + 1)).long()  # (..., 1)
+    shepherd_mask = torch.arange(m, device=device) < size
+    shepherds = team[..., None, :] + around(Stream.SHEPHERD_POSITION, m)
+    return WorldState(
+        seed=seed,
+        step=zero,
+        sheep=(flock[..., None, :] + around(Stream.SHEEP_POSITION, n)).to(dtype),
+        heading=model_of(config.flock).first_heading(seed, n, config.flock).to(dtype),
+        sheep_mask=torch.ones((*seed.shape, n), dtype=torch.bool, device=device),
+        shepherds=(shepherds * shepherd_mask[..., None]).to(dtype),
+        shepherd_mask=shepherd_mask,
+        goal=torch.zeros((*seed.shape, 2), dtype=dtype, device=device),
+        goal_radius=(config.goal_radius + start.goal_radius_extra * extra).to(dtype),
+    )

@@ -1,0 +1,76 @@
+"""What the world is at one step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import torch
+from torch import Tensor
+
+from shepherd_ros.sim.vectors import masked_mean
+
+
+@dataclass(frozen=True)
+class WorldState:
+    """
+    One world, or a batch of them in leading axes (...).
+
+    Positions are in metres in the world frame. Absent agents (mask False) come after the present
+    ones, stand on the goal and move nowhere. At least one sheep and one shepherd are present.
+    """
+
+    seed: Tensor  # (...) int64: every random number of the episode follows from it
+    step: Tensor  # (...) int64: steps since the start of the episode
+    sheep: Tensor  # (..., N, 2) m
+    heading: Tensor  # (..., N, 2) unit vectors
+    sheep_mask: Tensor  # (..., N) bool
+    shepherds: Tensor  # (..., H, 2) m
+    shepherd_mask: Tensor  # (..., H) bool
+    goal: Tensor  # (..., 2) m
+    goal_radius: Tensor  # (...) m
+
+    @property
+    def center(self) -> Tensor:
+        """Return the flock's center of mass, (..., 2) m."""
+        return masked_mean(self.sheep, self.sheep_mask)
+
+    @property
+    def flock_size(self) -> Tensor:
+        """Return the number of sheep present, (...) int64."""
+        return self.sheep_mask.sum(dim=-1)
+
+    @property
+    def team_size(self) -> Tensor:
+        """Return the number of shepherds present, (...) int64."""
+        return self.shepherd_mask.sum(dim=-1)
+
+    def world(self, index: int | slice | Tensor) -> WorldState:
+        """Return part of a batch along its first axis."""
+        return replace(self, **{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+    def to(self, *args: object) -> WorldState:
+        """Return the state with floating-point tensors converted as Tensor.to() does."""
+        return replace(
+            self,
+            **{
+                f.name: value.to(*args) if value.is_floating_point() else value
+                for f in fields(self)
+                for value in [getattr(self, f.name)]
+            },
+        )
+
+
+def where(mask: Tensor, left: WorldState, right: WorldState) -> WorldState:
+    """Return the left worlds where the mask (B,) is True, the right ones elsewhere."""
+    chosen = {}
+    for f in fields(left):
+        a, b = getattr(left, f.name), getattr(right, f.name)
+        chosen[f.name] = torch.where(mask.reshape(mask.shape + (1,) * (a.dim() - 1)), a, b)
+    return WorldState(**chosen)
+
+
+def stack(states: list[WorldState]) -> WorldState:
+    """Return single worlds of equal sizes as one batch."""
+    return WorldState(
+        **{f.name: torch.stack([getattr(s, f.name) for s in states]) for f in fields(WorldState)}
+    )

@@ -1,0 +1,85 @@
+"""The configuration of a world: who is in it, how time runs, how an episode starts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from shepherd_ros.config import Config, ConfigError, option
+from shepherd_ros.sim.flocking import flock_model, model_of
+from shepherd_ros.sim.flocking.base import FlockConfig
+from shepherd_ros.sim.flocking.strombom import StrombomFlock
+
+MAX_SHEEP = 10_000
+MAX_SHEPHERDS = 100
+
+
+@dataclass(frozen=True)
+class SpawnConfig(Config):
+    """Where agents start; the defaults are section 4 of the paper, at a fixed goal radius and team."""
+
+    flock_distance_min: float = option(10.0, 'goal to flock, nearest [m]', low=0.0)
+    flock_distance_max: float = option(20.0, 'goal to flock, farthest [m]', low=0.0)
+    shepherd_distance_min: float = option(5.0, 'flock to shepherds, nearest [m]', low=0.0)
+    shepherd_distance_max: float = option(10.0, 'flock to shepherds, farthest [m]', low=0.0)
+    position_std: float = option(
+        1.0, 'standard deviation of the signed distance of an agent to its group [m]', low=0.0
+    )
+    goal_radius_extra: float = option(
+        0.0, 'goal radius is uniform in goal_radius + [0, this] [m]; 4 in training', low=0.0
+    )
+    fewest_shepherds: int = option(
+        0, 'team size is uniform in [this, n_shepherds]; 0: always n_shepherds; 1 in training', low=0
+    )
+
+    def __post_init__(self) -> None:
+        """Check each field and the order of the intervals."""
+        super().__post_init__()
+        for name in ('flock_distance', 'shepherd_distance'):
+            low, high = getattr(self, f'{name}_min'), getattr(self, f'{name}_max')
+            if low > high:
+                raise ConfigError(f'{name}_min is {low}: expected at most {name}_max, {high}')
+
+
+@dataclass(frozen=True)
+class WorldConfig(Config):
+    """Everything that decides how a world starts and moves, apart from its seed."""
+
+    n_sheep: int = option(100, 'sheep in the flock, N', low=1, high=MAX_SHEEP)
+    n_shepherds: int = option(3, 'shepherds, M', low=1, high=MAX_SHEPHERDS)
+    dt: float = option(0.5, 'seconds per step (choice: the paper gives none)', low=0.001, high=10.0)
+    episode_steps: int = option(1000, 'steps per episode, T', low=1, high=10_000_000)
+    goal_radius: float = option(4.0, 'radius of the goal region, R_g [m]', low=0.01, high=1000.0)
+    shepherd_speed: float = option(1.0, 'top speed of a shepherd, v_max [m/s]', low=0.0)
+    spawn: SpawnConfig = field(default_factory=SpawnConfig)
+    flock: FlockConfig = field(default_factory=StrombomFlock)
+
+    def __post_init__(self) -> None:
+        """Check each field and that a smallest team fits."""
+        super().__post_init__()
+        if self.spawn.fewest_shepherds > self.n_shepherds:
+            raise ConfigError(
+                f'fewest_shepherds is {self.spawn.fewest_shepherds}: '
+                f'expected at most n_shepherds, {self.n_shepherds}'
+            )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain nested data; the flock carries the name of its model."""
+        data = super().to_dict()
+        return data | {'flock': {'model': model_of(self.flock).name, **data['flock']}}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> WorldConfig:
+        """Return the configuration that to_dict() gave, or raise ConfigError."""
+        values = dict(data)
+        if 'flock' in values:
+            flock = dict(values['flock'])
+            model = flock_model(flock.pop('model', 'strombom'))
+            values['flock'] = model.config.from_dict(flock)
+        if 'spawn' in values:
+            values['spawn'] = SpawnConfig.from_dict(values['spawn'])
+        unknown = set(values) - {f.name for f in fields(cls)}
+        if unknown:
+            raise ConfigError(f'unknown fields of the world configuration: {sorted(unknown)}')
+        return cls(**values)
