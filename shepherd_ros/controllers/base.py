@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-import torch
-from torch import Tensor
-
 from shepherd_ros.config import Config
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
+import torch
+from torch import Tensor
 
 Memory = dict[str, Tensor]
 

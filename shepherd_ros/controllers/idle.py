@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
-
 from shepherd_ros.config import Config
 from shepherd_ros.controllers.base import Controller, Memory
 from shepherd_ros.sim.state import WorldState
+import torch
+from torch import Tensor
 
 
 @dataclass(frozen=True)

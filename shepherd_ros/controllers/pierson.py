@@ -11,22 +11,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 import math
 
-import torch
-from torch import Tensor
-
 from shepherd_ros.config import Config, option
 from shepherd_ros.controllers.base import Controller, Memory, rank
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.metrics import flock_spread
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, wrap
+import torch
+from torch import Tensor
 
 
 @dataclass(frozen=True)
 class PiersonConfig(Config):
     """Options of the Pierson controller; the values are choices, tuned once on the Strömbom flock."""
 
-    lead: float = option(2.0, 'l [m]: the point steered lies so far ahead of the center', low=0.001)
+    lead: float = option(
+        2.0, 'l [m]: the point steered lies so far ahead of the center', low=0.001
+    )
     gain: float = option(0.05, 'k [1/s]: gain of the steered point toward the goal', low=0.0)
     max_turn_rate: float = option(0.5, 'the heading turns at most so fast [rad/s]', low=0.0)
     weakest_push: float = option(

@@ -10,15 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 import math
 
-import torch
-from torch import Tensor
-
 from shepherd_ros.config import Config, option
 from shepherd_ros.controllers.base import Controller, Memory, rank
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.noise import direction, Stream
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import bearing, from_bearing, unit, wrap
+import torch
+from torch import Tensor
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,9 @@ class StrombomController(Controller):
         for k in range(stray.shape[-1] if bool(stray.any()) else 0):
             which = farthest.indices[..., k, None, None].expand(*seen.sheep.shape[:-2], 1, 2)
             sheep = seen.sheep.gather(-2, which)
-            away = torch.linalg.vector_norm(shepherds - sheep, dim=-1).masked_fill(~free, torch.inf)
+            away = torch.linalg.vector_norm(shepherds - sheep, dim=-1).masked_fill(
+                ~free, torch.inf
+            )
             nearest = index == away.argmin(dim=-1, keepdim=True)
             taken = nearest & free & stray[..., k, None]
             behind_stray = sheep + collect * unit(sheep - center[..., None, :])

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import torch
-from torch import Tensor
-
 from shepherd_ros.controllers.base import Controller
 from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+import torch
+from torch import Tensor
 
 
 def run_episodes(
@@ -38,5 +37,9 @@ def run_episodes(
 def mean_and_interval(values: Tensor) -> tuple[float, float]:
     """Return the mean of (E,) values and half its 95 % interval, 1.96 standard errors; NaN for one."""
     values = values.double()
-    half = 1.96 * values.std() / values.shape[0] ** 0.5 if len(values) > 1 else torch.tensor(torch.nan)
+    half = (
+        1.96 * values.std() / values.shape[0] ** 0.5
+        if len(values) > 1
+        else torch.tensor(torch.nan)
+    )
     return float(values.mean()), float(half)

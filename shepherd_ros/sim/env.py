@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-import torch
-from torch import Tensor
-
 from shepherd_ros.config import Config, option
 from shepherd_ros.sim.lidar import LidarConfig, scan
 from shepherd_ros.sim.metrics import count_step, metrics, MetricsTally, start_tally
@@ -18,6 +15,8 @@ from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import where, WorldState
 from shepherd_ros.sim.transition import step
 from shepherd_ros.sim.world import WorldConfig
+import torch
+from torch import Tensor
 
 
 @dataclass(frozen=True)
@@ -63,9 +62,7 @@ class ShepherdEnv:
         self._begin(spawn(self.config.world, seeds))
         return self.stack, {'seed': seeds}
 
-    def step(
-        self, action: Tensor
-    ) -> tuple[Tensor | None, Tensor, Tensor, Tensor, dict[str, Any]]:
+    def step(self, action: Tensor) -> tuple[Tensor | None, Tensor, Tensor, Tensor, dict[str, Any]]:
         """
         Return observation, reward (B,), terminated (B,), truncated (B,) and info after one step.
 

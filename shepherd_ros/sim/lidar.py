@@ -5,15 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 import math
 
-import torch
-from torch import Tensor
-
 from shepherd_ros.config import Config, option
 from shepherd_ros.sim.noise import normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
+import torch
+from torch import Tensor
 
 CHANNELS = ('sheep', 'shepherds', 'goal')
-TOUCHING = 0.01  # [m] range to a body that overlaps the sensor: not 0, which stands for nothing seen
+TOUCHING = (
+    0.01  # [m] range to a body that overlaps the sensor: not 0, which stands for nothing seen
+)
 
 
 @dataclass(frozen=True)
@@ -23,10 +24,14 @@ class LidarConfig(Config):
     n_rays: int = option(512, 'rays, evenly spread, ray 0 along +x', low=4, high=65536)
     range_max: float = option(75.0, 'nothing farther is seen [m]', low=0.1)
     sheep_radius: float = option(0.5, 'radius of the disc of a sheep [m] (choice)', low=0.001)
-    shepherd_radius: float = option(0.5, 'radius of the disc of a shepherd [m] (choice)', low=0.001)
+    shepherd_radius: float = option(
+        0.5, 'radius of the disc of a shepherd [m] (choice)', low=0.001
+    )
     cross_occlusion: bool = option(False, 'sheep and shepherds hide what is behind, of any type')
     range_noise: float = option(0.0, 'standard deviation of a range [m]', low=0.0)
-    dropout: float = option(0.0, 'chance that a ray of a channel returns nothing', low=0.0, high=1.0)
+    dropout: float = option(
+        0.0, 'chance that a ray of a channel returns nothing', low=0.0, high=1.0
+    )
 
 
 def cast_rays(
@@ -65,7 +70,9 @@ def cast_rays(
     count = torch.where(inside, n_rays, (last - first + 1).clamp(min=0, max=n_rays))
     disc = torch.arange(count.shape[0], device=count.device).repeat_interleave(count)
     start = (count.cumsum(0) - count)[disc]
-    ray = torch.remainder(first[disc] + torch.arange(disc.shape[0], device=disc.device) - start, n_rays)
+    ray = torch.remainder(
+        first[disc] + torch.arange(disc.shape[0], device=disc.device) - start, n_rays
+    )
 
     theta = torch.arange(n_rays, device=origin.device, dtype=torch.float64) * pitch
     cos, sin = theta.cos().to(x.dtype)[ray], theta.sin().to(x.dtype)[ray]

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
-import torch
-from torch import Tensor
-
 from shepherd_ros.sim.reward import distance_to_rim
 from shepherd_ros.sim.state import WorldState
+import torch
+from torch import Tensor
 
 # name -> unit and meaning; the first five are the paper's, the others are alternative readings
 METRICS = {
@@ -20,7 +19,10 @@ METRICS = {
     'completed': ('1', '1 once the center of mass has been in the goal, else 0'),
     'shepherd_path_to_completion': ('m', 'shepherd_path_length until completion'),
     'flock_path_to_completion': ('m', 'flock_path_length until completion'),
-    'flock_spread_per_axis': ('m', 'mean of the standard deviations along x and y, mean over steps'),
+    'flock_spread_per_axis': (
+        'm',
+        'mean of the standard deviations along x and y, mean over steps',
+    ),
     'flock_spread_at_completion': ('m', 'flock spread at completion; of the last step if never'),
     'fraction_in_goal': ('1', 'share of sheep in the goal now'),
     'goal_distance': ('m', 'center of mass to the center of the goal now'),
@@ -129,7 +131,9 @@ def metrics(tally: MetricsTally, state: WorldState, episode_steps: int) -> dict[
         'completed': tally.completed.to(tally.steps.dtype),
         'shepherd_path_to_completion': tally.shepherd_path_done,
         'flock_path_to_completion': tally.flock_path_done,
-        'flock_spread_per_axis': torch.where(started, tally.spread_per_axis / counted, now_per_axis),
+        'flock_spread_per_axis': torch.where(
+            started, tally.spread_per_axis / counted, now_per_axis
+        ),
         'flock_spread_at_completion': tally.spread_done,
         'fraction_in_goal': tally.in_goal,
         'goal_distance': tally.goal_distance,

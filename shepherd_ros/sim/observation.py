@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
-
 from shepherd_ros.config import Config, option
 from shepherd_ros.sim.lidar import CHANNELS
+import torch
+from torch import Tensor
 
 LAYOUTS = ('types', 'frames', 'ring')
 

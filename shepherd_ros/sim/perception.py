@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import torch
-from torch import Tensor
-
 from shepherd_ros.sim.noise import normal, Stream
 from shepherd_ros.sim.state import WorldState
+import torch
+from torch import Tensor
 
 
 def perceive(state: WorldState, noise_std: float) -> WorldState:

@@ -31,15 +31,22 @@ def _strombom(**changes: Any) -> dict[str, dict[str, Any]]:
 PRESETS: dict[str, Preset] = {
     'default': Preset('0.5 s, r_a 1 m: learning works and a robot can be driven', 0.5),
     'one_second': Preset('1 s, r_a 1 m: the original model, shrunk by three, has 1 s', 1.0),
-    'scaled_third': Preset('1 s, r_a 2/3 m: the original 2 m / 3', 1.0, _strombom(sheep_range=2 / 3)),
+    'scaled_third': Preset(
+        '1 s, r_a 2/3 m: the original 2 m / 3', 1.0, _strombom(sheep_range=2 / 3)
+    ),
     'strombom_ra': Preset("1 s, r_a 2 m: Strömbom's own range", 1.0, _strombom(sheep_range=2.0)),
-    'rho_a_one': Preset('0.5 s, rho_a 1: the base value in section 5', 0.5, _strombom(sheep_repulsion=1.0)),
+    'rho_a_one': Preset(
+        '0.5 s, rho_a 1: the base value in section 5', 0.5, _strombom(sheep_repulsion=1.0)
+    ),
     'fine_dt': Preset('0.1 s, r_a 1 m: for smooth robots', 0.1),
     'table_literal': Preset(
-        '1 s, r_a 10 m as printed: the flock expands and never fits the goal', 1.0, _strombom(sheep_range=10.0)
+        '1 s, r_a 10 m as printed: the flock expands and never fits the goal',
+        1.0,
+        _strombom(sheep_range=10.0),
     ),
     'metric_attraction': Preset(
-        '0.5 s, r_a 10 m with attraction in metres: keeps every number of Table 1', 0.5,
+        '0.5 s, r_a 10 m with attraction in metres: keeps every number of Table 1',
+        0.5,
         _strombom(sheep_range=10.0, metric_attraction=True),
     ),
 }
@@ -64,5 +71,3 @@ def evaluation_world(world: WorldConfig) -> WorldConfig:
     """Return a world whose episodes start as in evaluation: a goal of 4 m and a team of fixed size."""
     spawn = replace(world.spawn, goal_radius_extra=0.0, fewest_shepherds=0)
     return replace(world, goal_radius=4.0, spawn=spawn)
-
-

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
-
 from shepherd_ros.config import Config, option
 from shepherd_ros.sim.state import WorldState
+import torch
+from torch import Tensor
 
 
 @dataclass(frozen=True)
@@ -18,7 +17,8 @@ class RewardConfig(Config):
     occupancy: float = option(10.0, 'lambda_o [-]: weight of the sheep in the goal')
     shaping: float = option(-0.1, 'lambda_s [1/m]: weight of the distance of those outside')
     one_per_step: bool = option(
-        False, 'add the one of "one plus the distance" once a step while any sheep is outside (choice: per sheep)'
+        False,
+        'add the one of "one plus the distance" once a step while any sheep is outside (choice: per sheep)',
     )
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
-
 from shepherd_ros.sim.flocking import model_of
 from shepherd_ros.sim.noise import direction, normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
+import torch
+from torch import Tensor
 
 
 def spawn(config: WorldConfig, seed: Tensor, dtype: torch.dtype = torch.float32) -> WorldState:

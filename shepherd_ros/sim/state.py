@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
+from shepherd_ros.sim.vectors import masked_mean
 import torch
 from torch import Tensor
-
-from shepherd_ros.sim.vectors import masked_mean
 
 
 @dataclass(frozen=True)

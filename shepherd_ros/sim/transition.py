@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import torch
-from torch import Tensor
-
 from shepherd_ros.sim.flocking import model_of
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import clip_norm
 from shepherd_ros.sim.world import WorldConfig
+import torch
+from torch import Tensor
 
 
 def usable(command: Tensor) -> Tensor:

@@ -30,7 +30,9 @@ class SpawnConfig(Config):
         0.0, 'goal radius is uniform in goal_radius + [0, this] [m]; 4 in training', low=0.0
     )
     fewest_shepherds: int = option(
-        0, 'team size is uniform in [this, n_shepherds]; 0: always n_shepherds; 1 in training', low=0
+        0,
+        'team size is uniform in [this, n_shepherds]; 0: always n_shepherds; 1 in training',
+        low=0,
     )
 
     def __post_init__(self) -> None:
@@ -48,7 +50,9 @@ class WorldConfig(Config):
 
     n_sheep: int = option(100, 'sheep in the flock, N', low=1, high=MAX_SHEEP)
     n_shepherds: int = option(3, 'shepherds, M', low=1, high=MAX_SHEPHERDS)
-    dt: float = option(0.5, 'seconds per step (choice: the paper gives none)', low=0.001, high=10.0)
+    dt: float = option(
+        0.5, 'seconds per step (choice: the paper gives none)', low=0.001, high=10.0
+    )
     episode_steps: int = option(1000, 'steps per episode, T', low=1, high=10_000_000)
     goal_radius: float = option(4.0, 'radius of the goal region, R_g [m]', low=0.01, high=1000.0)
     shepherd_speed: float = option(1.0, 'top speed of a shepherd, v_max [m/s]', low=0.0)

@@ -6,10 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from torch import Tensor
-
 from shepherd_ros.config import Config, option
 from shepherd_ros.sim.state import WorldState
+from torch import Tensor
 
 
 @dataclass(frozen=True)

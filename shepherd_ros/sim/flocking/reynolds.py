@@ -9,15 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
-
 from shepherd_ros.config import option
 from shepherd_ros.sim.flocking.base import FlockConfig, FlockModel
 from shepherd_ros.sim.flocking.strombom import offsets
 from shepherd_ros.sim.noise import normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import clip_norm, EPSILON, from_bearing
+import torch
+from torch import Tensor
 
 
 @dataclass(frozen=True)
@@ -73,9 +72,7 @@ def step(state: WorldState, config: ReynoldsFlock, dt: float) -> tuple[Tensor, T
     )
     velocity = velocity + clip_norm(acceleration, config.max_acceleration) * dt
     length = torch.linalg.vector_norm(velocity, dim=-1, keepdim=True)
-    heading = torch.where(
-        length < EPSILON, state.heading, velocity / length.clamp(min=EPSILON)
-    )
+    heading = torch.where(length < EPSILON, state.heading, velocity / length.clamp(min=EPSILON))
     return sheep + (config.speed * dt) * heading, heading
 
 

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
-
 from shepherd_ros.config import option
 from shepherd_ros.sim.flocking.base import FlockConfig, FlockModel
 from shepherd_ros.sim.noise import direction, Stream, uniform
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import EPSILON, unit
+import torch
+from torch import Tensor
 
 
 @dataclass(frozen=True)
