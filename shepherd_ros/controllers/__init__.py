@@ -1,8 +1,8 @@
 """
 Controllers: perceived state in, shepherd velocities out. Each module with CONTROLLER is one.
 
-A controller of your own is one new file here, with a subclass of Controller; the runner, the demo and the
-controller nodes then know it by its name.
+A controller of your own is one new file here, with a subclass of Controller; the runner, the demo
+and the controller nodes then know it by its name.
 """
 
 from __future__ import annotations

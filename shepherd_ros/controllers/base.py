@@ -34,12 +34,12 @@ class Controller:
         return {}
 
     def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
-        """Return commands (..., H, 2) m/s in the world frame, at most the top speed, and memory."""
+        """Return commands (..., H, 2) m/s, world frame, at most the top speed; and memory."""
         raise NotImplementedError
 
 
 def rank(key: Tensor, mask: Tensor) -> Tensor:
-    """Return the place of each present item in ascending order of key, ties by index; (..., H) int64."""
+    """Return the place of each item in ascending order of key, ties by index; (..., H)."""
     index = torch.arange(key.shape[-1], device=key.device)
     mine, other = key[..., :, None], key[..., None, :]
     before = (other < mine) | ((other == mine) & (index[None, :] < index[:, None]))

@@ -23,7 +23,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class PiersonConfig(Config):
-    """Options of the Pierson controller; the values are choices, tuned once on the Strömbom flock."""
+    """Options of the Pierson controller: choices, tuned once on the Strömbom flock."""
 
     lead: float = option(
         2.0, 'l [m]: the point steered lies so far ahead of the center', low=0.001
@@ -50,14 +50,14 @@ class PiersonConfig(Config):
 
 
 def push_share(opening: Tensor, team: Tensor) -> Tensor:
-    """Return q(Delta) in [0, 1]: the arc's push over that of all shepherds in one place; q(0) = 1."""
+    """Return q(Delta) in [0, 1]: an arc's push over that of a point; q(0) = 1."""
     half = opening / (2 * team - 2).clamp(min=1)
     below = team * torch.sin(half)
     return torch.where(half < 1e-4, 1.0, torch.sin(team * half) / below.clamp(min=1e-9))
 
 
 def opening_for(share: Tensor, team: Tensor) -> Tensor:
-    """Return the arc's opening Delta [rad] with push_share() = share, by refining a grid; (...) each."""
+    """Return the opening Delta [rad] with push_share() = share, by refining a grid."""
     low = torch.zeros_like(share)
     width = 2 * math.pi * (team - 1) / team
     grid = torch.linspace(0.0, 1.0, 33, dtype=share.dtype, device=share.device)
@@ -70,7 +70,7 @@ def opening_for(share: Tensor, team: Tensor) -> Tensor:
 
 
 class PiersonController(Controller):
-    """Drives along an arc around the flock; its memory is the heading of the flock as a unicycle."""
+    """Drives from an arc around the flock; remembers the heading of the flock."""
 
     name = 'pierson'
     config_type = PiersonConfig

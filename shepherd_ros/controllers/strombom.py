@@ -1,8 +1,9 @@
 """
 Strömbom's collecting and driving, for several shepherds, with arcs and wide detours.
 
-Roles and positions: Strömbom et al. 2014, J. R. Soc. Interface 11:20140719. Several shepherds in an
-arc around the flock and detours that do not disturb it: El-Fiqi et al. 2020, IEEE Access 8:214658.
+Roles and positions: Strömbom et al. 2014, J. R. Soc. Interface 11:20140719. Several shepherds in
+an arc around the flock and detours that do not disturb it: El-Fiqi et al. 2020, IEEE Access
+8:214658.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class StrombomConfig(Config):
-    """Options of the Strömbom controller. r is the interaction range that its positions are made of."""
+    """Options of the Strömbom controller; all its places are multiples of a range r."""
 
     interaction_range: float = option(
         0.0, "r [m]; 0: the flock's own range of repulsion, 1 m if it has none", low=0.0
@@ -50,7 +51,7 @@ class StrombomConfig(Config):
 
 
 class StrombomController(Controller):
-    """Collects the farthest sheep while the flock is scattered, otherwise drives it from behind."""
+    """Collects the farthest sheep while the flock is scattered, else drives it."""
 
     name = 'strombom'
     config_type = StrombomConfig
@@ -72,7 +73,7 @@ class StrombomController(Controller):
         return velocity * seen.shepherd_mask[..., None], memory
 
     def _targets(self, seen: WorldState, center: Tensor, distance: Tensor) -> Tensor:
-        """Return where each shepherd wants to be, (..., H, 2) m: behind an outlier or on the arc."""
+        """Return the place of each shepherd, (..., H, 2) m: behind a stray or on the arc."""
         r, n = self.interaction_range, seen.flock_size.to(distance.dtype)
         if self.config.position_law == 'strombom':
             together, behind, collect = r * n ** (2 / 3), r * n.sqrt(), r
@@ -106,7 +107,7 @@ class StrombomController(Controller):
         return torch.where(free[..., None], driving, target)
 
     def _approach(self, seen: WorldState, center: Tensor, d_far: Tensor, target: Tensor) -> Tensor:
-        """Return velocities (..., H, 2) m/s toward the targets, round the flock where it is in the way."""
+        """Return velocities (..., H, 2) m/s to the targets, round the flock if in the way."""
         config, dt, top = self.config, self.world.dt, self.world.shepherd_speed
         r, shepherds, center = self.interaction_range, seen.shepherds, center[..., None, :]
         margin = config.arc_margin or 3 * r

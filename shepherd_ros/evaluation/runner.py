@@ -35,7 +35,7 @@ def run_episodes(
 
 
 def mean_and_interval(values: Tensor) -> tuple[float, float]:
-    """Return the mean of (E,) values and half its 95 % interval, 1.96 standard errors; NaN for one."""
+    """Return mean and half the 95 % interval of (E,) values; NaN for a single one."""
     values = values.double()
     half = (
         1.96 * values.std() / values.shape[0] ** 0.5

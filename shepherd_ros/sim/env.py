@@ -34,10 +34,10 @@ class ShepherdEnv:
     """
     B worlds that step together; one that ends starts anew at once (Gymnasium's same-step mode).
 
-    Observations are stacks of ranges (B, H, K, 3, R) [m], +inf on free rays, newest frame last; without
-    lidar they are None, for controllers that read `perceived`. Actions are (B, H, 2) [m/s], world frame.
-    World b starts with seed + b, and its k-th episode with seed + b + k B, so an episode is the
-    same whatever the number of worlds.
+    Observations are stacks of ranges (B, H, K, 3, R) [m], +inf on free rays, newest frame last;
+    without lidar they are None, for controllers that read `perceived`. Actions are (B, H, 2)
+    [m/s], world frame. World b starts with seed + b, and its k-th episode with seed + b + k B, so
+    an episode is the same whatever the number of worlds.
     """
 
     def __init__(
@@ -66,9 +66,10 @@ class ShepherdEnv:
         """
         Return observation, reward (B,), terminated (B,), truncated (B,) and info after one step.
 
-        terminated stays False: the task has no end but its time limit, which is truncated and to be
-        bootstrapped. info has `reward_terms`; where truncated, also `final_observation`,
-        `final_state` and `final_metrics` of all B worlds as they were before those that ended started anew.
+        terminated stays False: the task has no end but its time limit, which is truncated and to
+        be bootstrapped. info has `reward_terms`; where truncated, also `final_observation`,
+        `final_state` and `final_metrics` of all B worlds as they were before those that ended
+        started anew.
         """
         config, before = self.config, self.state
         after = step(before, action, config.world)
@@ -111,7 +112,7 @@ class ShepherdEnv:
         self.tally = start_tally(state)
 
     def _restart(self, ended: Tensor) -> None:
-        """Start new episodes in the worlds that ended; (B,) bool. The others' stacks stay as they are."""
+        """Start new episodes where they ended, (B,) bool; the other worlds stay as they are."""
         old_state, old_stack, old_tally = self.state, self.stack, self.tally
         fresh = spawn(self.config.world, old_state.seed + self.n_worlds)
         self._begin(where(ended, fresh, old_state))

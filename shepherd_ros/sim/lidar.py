@@ -1,4 +1,4 @@
-"""The shepherds' lidar: ranges to discs of three types along evenly spread rays (paper, section 3)."""
+"""The shepherds' lidar: ranges to discs of three types (paper, section 3)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TOUCHING = (
 
 @dataclass(frozen=True)
 class LidarConfig(Config):
-    """A lidar with one channel per type; bodies hide others of their own type only, unless told."""
+    """A lidar with a channel per type; bodies hide only their own type, unless told."""
 
     n_rays: int = option(512, 'rays, evenly spread, ray 0 along +x', low=4, high=65536)
     range_max: float = option(75.0, 'nothing farther is seen [m]', low=0.1)
@@ -46,10 +46,10 @@ def cast_rays(
     """
     Return the range to the nearest disc along each ray, +inf where a ray is free.
 
-    origin (..., 2) m, centers (..., K, 2) m, radius (..., K) m, mask (..., K) bool (False: not there)
-    -> (..., n_rays) m, world frame; ray k points along 2 pi k / n_rays, counter-clockwise from +x.
-    From inside a solid disc every ray returns TOUCHING, from inside one that is not, its rim.
-    Work is done for the rays that a disc covers, an interval of angles, and for no others.
+    origin (..., 2) m, centers (..., K, 2) m, radius (..., K) m, mask (..., K) bool (False: not
+    there) -> (..., n_rays) m, world frame; ray k points along 2 pi k / n_rays, counter-clockwise
+    from +x. From inside a solid disc every ray returns TOUCHING, from inside one that is not, its
+    rim. Work is done for the rays that a disc covers, an interval of angles, and for no others.
     """
     batch, pitch = origin.shape[:-1], 2 * math.pi / n_rays
     offset = centers - origin[..., None, :]

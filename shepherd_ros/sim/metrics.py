@@ -54,7 +54,7 @@ class MetricsTally:
 
 
 def flock_spread(state: WorldState) -> tuple[Tensor, Tensor]:
-    """Return the root mean square distance to the center, and the mean deviation per axis, (...) m."""
+    """Return the rms distance to the center and the mean deviation per axis, (...) m."""
     offset = (state.sheep - state.center[..., None, :]) * state.sheep_mask[..., None]
     variance = offset.square().sum(dim=-2) / state.flock_size[..., None]  # (..., 2)
     return variance.sum(dim=-1).sqrt(), variance.sqrt().mean(dim=-1)
@@ -68,7 +68,7 @@ def _inside(state: WorldState) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def start_tally(state: WorldState) -> MetricsTally:
-    """Return the tally of an episode at its first state, which counts for all but the mean spread."""
+    """Return the tally at the first state, which counts for all but the mean spread."""
     inside, distance, completed = _inside(state)
     zero = torch.zeros_like(distance)
     return MetricsTally(
@@ -116,7 +116,7 @@ def count_step(tally: MetricsTally, before: WorldState, after: WorldState) -> Me
 
 
 def metrics(tally: MetricsTally, state: WorldState, episode_steps: int) -> dict[str, Tensor]:
-    """Return METRICS of the episode so far, (...) each; at the first state the spread is that state's."""
+    """Return METRICS of the episode so far, (...) each."""
     counted = tally.steps.clamp(min=1)
     now, now_per_axis = flock_spread(state)
     started = tally.steps > 0

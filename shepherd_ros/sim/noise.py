@@ -1,9 +1,10 @@
 """
 Random numbers as a pure function of (seed, step, stream, index).
 
-A counter-based generator (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3") with the
-64-bit mixer of splitmix64 (Steele, Lea and Flood 2014). A world draws the same numbers alone and in
-a batch, on the CPU and on the GPU, in one process and spread over nodes, from its start or resumed at any step.
+A counter-based generator (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3") with
+the 64-bit mixer of splitmix64 (Steele, Lea and Flood 2014). A world draws the same numbers alone
+and in a batch, on the CPU and on the GPU, in one process and spread over nodes, from its start or
+resumed at any step.
 """
 
 from __future__ import annotations

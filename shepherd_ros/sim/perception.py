@@ -14,8 +14,9 @@ def perceive(state: WorldState, noise_std: float) -> WorldState:
     """
     Return the state with independent N(0, noise_std^2) [m] on each coordinate of each position.
 
-    Drawn anew each step, for goal, sheep and shepherds (paper, section 5). The noise follows from seed
-    and step alone, so all lidars and controllers of one step see the same perceived state, wherever they run.
+    Drawn anew each step, for goal, sheep and shepherds (paper, section 5). The noise follows from
+    seed and step alone, so all lidars and controllers of one step see the same perceived state,
+    wherever they run.
     """
     if noise_std == 0:
         return state

@@ -62,12 +62,12 @@ def world_preset(name: str = 'default', flock: str = 'strombom') -> WorldConfig:
 
 
 def training_world(world: WorldConfig) -> WorldConfig:
-    """Return a world whose episodes start as in training (paper, section 4): 1 to 6 shepherds, 4 to 8 m."""
+    """Return a world that starts as in training: 1 to 6 shepherds, goals of 4 to 8 m."""
     spawn = replace(world.spawn, goal_radius_extra=4.0, fewest_shepherds=1)
     return replace(world, n_sheep=100, n_shepherds=6, goal_radius=4.0, spawn=spawn)
 
 
 def evaluation_world(world: WorldConfig) -> WorldConfig:
-    """Return a world whose episodes start as in evaluation: a goal of 4 m and a team of fixed size."""
+    """Return a world that starts as in evaluation: a goal of 4 m, a team of fixed size."""
     spawn = replace(world.spawn, goal_radius_extra=0.0, fewest_shepherds=0)
     return replace(world, goal_radius=4.0, spawn=spawn)

@@ -18,7 +18,7 @@ class RewardConfig(Config):
     shaping: float = option(-0.1, 'lambda_s [1/m]: weight of the distance of those outside')
     one_per_step: bool = option(
         False,
-        'add the one of "one plus the distance" once a step while any sheep is outside (choice: per sheep)',
+        'add the one of "one plus the distance" once per step (choice: once per sheep outside)',
     )
 
 

@@ -15,7 +15,8 @@ def spawn(config: WorldConfig, seed: Tensor, dtype: torch.dtype = torch.float32)
     Return the first state of the episodes with these seeds; (...) int64.
 
     The flock's center lies in a random direction from the goal, the shepherds' center in a random
-    direction from the flock's; each agent is a signed normal distance from its center, in a random direction.
+    direction from the flock's; each agent is a signed normal distance from its center, in a random
+    direction.
     """
     device, zero = seed.device, torch.zeros_like(seed)
     n, m, start = config.n_sheep, config.n_shepherds, config.spawn

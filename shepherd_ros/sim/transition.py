@@ -21,8 +21,9 @@ def step(state: WorldState, command: Tensor, config: WorldConfig) -> WorldState:
     """
     Return the world dt later: the shepherds move first, then all sheep at once.
 
-    command (..., H, 2) m/s in the world frame is cut to the top speed; one with a NaN or an infinite
-    part counts as zero. Shepherds are holonomic points, the plane has no walls (paper, section 3).
+    command (..., H, 2) m/s in the world frame is cut to the top speed; one with a NaN or an
+    infinite part counts as zero. Shepherds are holonomic points, the plane has no walls (paper,
+    section 3).
     """
     obeyed = (usable(command) & state.shepherd_mask)[..., None]
     velocity = clip_norm(torch.where(obeyed, command, 0.0), config.shepherd_speed)

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-# A sum of unit vectors that cancels exactly leaves about 1e-7 in float32: shorter than this is none.
+# Unit vectors that cancel exactly sum to about 1e-7 in float32: shorter than this is none.
 EPSILON = 1e-6
 
 

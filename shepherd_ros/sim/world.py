@@ -17,7 +17,7 @@ MAX_SHEPHERDS = 100
 
 @dataclass(frozen=True)
 class SpawnConfig(Config):
-    """Where agents start; the defaults are section 4 of the paper, at a fixed goal radius and team."""
+    """Where agents start; defaults of the paper, section 4, for evaluation."""
 
     flock_distance_min: float = option(10.0, 'goal to flock, nearest [m]', low=0.0)
     flock_distance_max: float = option(20.0, 'goal to flock, farthest [m]', low=0.0)

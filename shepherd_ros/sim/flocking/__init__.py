@@ -2,7 +2,8 @@
 Flock models. Every module of this folder that defines MODEL is one, under its own name.
 
 A model of your own is one new file here: a configuration, a function for the first headings, a
-function for one step, and MODEL = FlockModel(...). Nodes, environment and command line then know it.
+function for one step, and MODEL = FlockModel(...). Nodes, environment and command line then know
+it.
 """
 
 from __future__ import annotations

@@ -24,8 +24,8 @@ class FlockModel:
     A named law of motion.
 
     first_heading(seed (...), n, config) -> (..., n, 2) unit vectors, the headings of a new flock;
-    step(state, config, dt) -> sheep, heading after dt [s], each (..., N, 2), with the shepherds of the
-    state already at their new places. Absent sheep may get any finite value.
+    step(state, config, dt) -> sheep, heading after dt [s], each (..., N, 2), with the shepherds of
+    the state already at their new places. Absent sheep may get any finite value.
     """
 
     name: str

@@ -61,7 +61,8 @@ def local_center(sheep: Tensor, mask: Tensor, squared: Tensor, n_neighbors: int)
     Return the mean position of the nearest others of each sheep, itself where there are none.
 
     sheep (..., N, 2) m, mask (..., N) bool, squared distances (..., N, N) m2 -> (..., N, 2) m.
-    Whichever set is smaller is searched: the nearest, or the farthest, which are taken off the whole.
+    Whichever set is smaller is searched: the nearest, or the farthest, which are taken off the
+    whole.
     """
     n = sheep.shape[-2]
     others = mask.sum(dim=-1)[..., None, None] - 1  # (..., 1, 1)
@@ -90,8 +91,8 @@ def step(state: WorldState, config: StrombomFlock, dt: float) -> tuple[Tensor, T
     """
     Return sheep and heading after dt; every reacting sheep moves exactly speed * dt.
 
-    Equations 4.1 to 4.3: each term is a unit vector before it is weighted, and the sum is made one.
-    Only the pushes of several shepherds are added as they are.
+    Equations 4.1 to 4.3: each term is a unit vector before it is weighted, and the sum is made
+    one. Only the pushes of several shepherds are added as they are.
     """
     sheep, mask = state.sheep, state.sheep_mask
     index = torch.arange(sheep.shape[-2], device=sheep.device)
