@@ -193,7 +193,7 @@ def disc_ranges(
     solid: bool,
     margin: float,
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the range of one disc on all rays, section 7.1, and which are within margin of a jump."""
+    """Return a disc's range on all rays, section 7.1, and which are within margin of a jump."""
     angle = 2 * np.pi * np.arange(n_rays) / n_rays
     wx, wy = center[0] - origin[0], center[1] - origin[1]
     along = wx * np.cos(angle) + wy * np.sin(angle)
@@ -353,7 +353,7 @@ def strombom_targets(world: World, config: Any, r: float) -> dict[int, Point]:
 
 
 def detour(place: Point, target: Point, arc: float, stride: float) -> Point:
-    """Return the direction of a stride about the origin, the flock's center: the arc of section 4.3."""
+    """Return the direction of a stride about the flock's center at (0, 0): the arc of 4.3."""
     (x, y), aim = place, bearing(*target)
     phi, d = wrap(aim - bearing(x, y)), length(x, y)
     if d < arc - stride:

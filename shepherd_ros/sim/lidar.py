@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import math
 
 from shepherd_ros.config import Config, option
+from shepherd_ros.sim import kernels
 from shepherd_ros.sim.noise import normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
 import torch
@@ -51,6 +52,8 @@ def cast_rays(
     from +x. From inside a solid disc every ray returns TOUCHING, from inside one that is not, its
     rim. Work is done for the rays that a disc covers, an interval of angles, and for no others.
     """
+    if kernels.usable(origin, centers):
+        return kernels.cast_rays(origin, centers, radius, mask, n_rays, range_max, solid, TOUCHING)
     batch, pitch = origin.shape[:-1], 2 * math.pi / n_rays
     offset = centers - origin[..., None, :]
     x, y, radius, mask = (

@@ -40,9 +40,9 @@ def push_frame(stack: Tensor, ranges: Tensor) -> Tensor:
 
 def network_input(stack: Tensor, config: ObservationConfig, range_max: float) -> Tensor:
     """
-    Return the stack in units of range_max, free rays as none_value; (..., K, 3, R) m -> (..., C,
-    L).
+    Return the stack in units of range_max, with free rays as none_value.
 
+    (..., K, 3, R) m -> (..., C, L), where
     C, L are 3, K R for layout types (oldest frame first); K, 3 R for frames; 3 K, R for ring.
     """
     scaled = torch.where(stack.isfinite(), stack / range_max, config.none_value)

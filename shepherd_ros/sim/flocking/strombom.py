@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from shepherd_ros.config import option
+from shepherd_ros.sim import kernels
 from shepherd_ros.sim.flocking.base import FlockConfig, FlockModel
 from shepherd_ros.sim.noise import direction, Stream, uniform
 from shepherd_ros.sim.state import WorldState
@@ -60,7 +61,7 @@ def local_center(sheep: Tensor, mask: Tensor, squared: Tensor, n_neighbors: int)
     """
     Return the mean position of the nearest others of each sheep, itself where there are none.
 
-    sheep (..., N, 2) m, mask (..., N) bool, squared distances (..., N, N) m2 -> (..., N, 2) m.
+    sheep (..., N, 2) m, mask (..., N), squared distances (..., N, N) m2 -> (..., N, 2) m.
     Whichever set is smaller is searched: the nearest, or the farthest, which are taken off the
     whole.
     """
@@ -87,6 +88,36 @@ def local_center(sheep: Tensor, mask: Tensor, squared: Tensor, n_neighbors: int)
     return torch.where(count > 0, total / count.clamp(min=1), sheep)
 
 
+def forces(
+    sheep: Tensor, mask: Tensor, shepherds: Tensor, shepherd_mask: Tensor, config: StrombomFlock
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """
+    Return what acts on each sheep before any weight.
+
+    The sum of unit pushes by near sheep (..., N, 2), the local center (..., N, 2) m, the sum of
+    unit pushes by shepherds (..., N, 2), and whether any shepherd is noticed (..., N) bool.
+    """
+    if kernels.usable(sheep, shepherds):
+        return kernels.strombom_forces(
+            sheep,
+            mask,
+            shepherds,
+            shepherd_mask,
+            config.n_neighbors,
+            config.sheep_range,
+            config.shepherd_range,
+            EPSILON,
+        )
+    x, y = offsets(sheep, sheep)
+    squared = x * x + y * y
+    from_sheep = push(x, y, squared, (squared < config.sheep_range**2) & mask[..., None, :])
+    center = local_center(sheep, mask, squared, config.n_neighbors)
+    x, y = offsets(sheep, shepherds)
+    squared = x * x + y * y
+    noticed = (squared < config.shepherd_range**2) & shepherd_mask[..., None, :]
+    return from_sheep, center, push(x, y, squared, noticed), noticed.any(dim=-1)
+
+
 def step(state: WorldState, config: StrombomFlock, dt: float) -> tuple[Tensor, Tensor]:
     """
     Return sheep and heading after dt; every reacting sheep moves exactly speed * dt.
@@ -94,34 +125,28 @@ def step(state: WorldState, config: StrombomFlock, dt: float) -> tuple[Tensor, T
     Equations 4.1 to 4.3: each term is a unit vector before it is weighted, and the sum is made
     one. Only the pushes of several shepherds are added as they are.
     """
-    sheep, mask = state.sheep, state.sheep_mask
+    sheep = state.sheep
     index = torch.arange(sheep.shape[-2], device=sheep.device)
-    x, y = offsets(sheep, sheep)
-    squared = x * x + y * y
-    from_sheep = unit(push(x, y, squared, (squared < config.sheep_range**2) & mask[..., None, :]))
-    attraction = local_center(sheep, mask, squared, config.n_neighbors) - sheep
+    from_sheep, center, from_shepherds, reacting = forces(
+        sheep, state.sheep_mask, state.shepherds, state.shepherd_mask, config
+    )
+    attraction = center - sheep
     if not config.metric_attraction:
         attraction = unit(attraction)
-
-    x, y = offsets(sheep, state.shepherds)
-    squared = x * x + y * y
-    noticed = (squared < config.shepherd_range**2) & state.shepherd_mask[..., None, :]
-    from_shepherds = push(x, y, squared, noticed)
     if config.normalize_shepherds:
         from_shepherds = unit(from_shepherds)
-
     random = direction(state.seed, state.step, Stream.TURN, index, sheep.dtype)
     fleeing = unit(
         config.inertia * state.heading
         + config.cohesion * attraction
-        + config.sheep_repulsion * from_sheep
+        + config.sheep_repulsion * unit(from_sheep)
         + config.shepherd_repulsion * from_shepherds
         + config.noise * random
     )
     # forces that cancel exactly leave no direction: the sheep then keeps its heading
     stuck = (fleeing == 0).all(dim=-1, keepdim=True)
     fleeing = torch.where(stuck, state.heading, fleeing)
-    reacting = noticed.any(dim=-1, keepdim=True)
+    reacting = reacting[..., None]
     chance = uniform(state.seed, state.step, Stream.GRAZE, index, sheep.dtype)[..., None]
     moving = reacting | (chance < config.graze_probability)
     heading = torch.where(reacting, fleeing, torch.where(moving, random, state.heading))

@@ -1,0 +1,86 @@
+"""Package shepherd_ros: installs with pip and with colcon alike."""
+
+from pathlib import Path
+import xml.etree.ElementTree as ET
+
+from setuptools import find_packages, setup
+
+NAME = 'shepherd_ros'
+HERE = Path(__file__).parent
+MANIFEST = ET.parse(HERE / 'package.xml').getroot()
+NODES = {
+    'flock_sim': 'flock_node:main',
+    'lidar': 'lidar_node:main',
+    'metrics': 'metrics_node:main',
+    'strombom': 'heuristic_node:strombom',
+    'pierson': 'heuristic_node:pierson',
+    'idle': 'heuristic_node:idle',
+    'random': 'heuristic_node:random',
+}
+
+
+def shared(folder: str, pattern: str) -> tuple[str, list[str]]:
+    """Return a row of data_files: where the files of a folder go, and which."""
+    files = sorted(str(p.relative_to(HERE)) for p in (HERE / folder).glob(pattern) if p.is_file())
+    return f'share/{NAME}/{folder}', files
+
+
+setup(
+    name=NAME,
+    version=MANIFEST.findtext('version'),
+    packages=find_packages(exclude=['test', 'test.*']),
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+        shared('launch', '*.launch.py'),
+        shared('config', '*'),
+        shared('msg_schemas', '*.*'),
+        *(
+            shared(str(folder.relative_to(HERE)), '*.msg')
+            for folder in sorted((HERE / 'msg_schemas').iterdir())
+            if folder.is_dir()
+        ),
+    ],
+    install_requires=[
+        'setuptools',
+        'matplotlib',
+        'numpy',
+        'pillow',
+        'pyyaml',
+        'rich',
+        'torch',
+        'tyro',
+    ],
+    extras_require={
+        'jazzy': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
+        'fast': ['numba'],
+        'test': ['pytest'],
+        'dev': [
+            'colcon-common-extensions',
+            'colcon-ros',
+            'codespell',
+            'hypothesis',
+            'jsonschema',
+            'mypy',
+            'pytest<9',
+            'pytest-timeout',
+            'pytest-xdist',
+            'ruff',
+            'setuptools<80',
+            'types-PyYAML',
+        ],
+    },
+    zip_safe=False,
+    author='The shepherd_ros maintainers',
+    maintainer=MANIFEST.find('maintainer').text,
+    maintainer_email=MANIFEST.find('maintainer').get('email'),
+    description=' '.join(MANIFEST.findtext('description').split()),
+    license='Apache-2.0',
+    python_requires='>=3.10',
+    entry_points={
+        'console_scripts': [
+            'shepherd = shepherd_ros.cli:main',
+            *(f'{node} = {NAME}.nodes.{target}' for node, target in NODES.items()),
+        ],
+    },
+)

@@ -1,0 +1,51 @@
+"""The shepherds' commands as they come in: who answered which state, who is late (no rclpy)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+
+@dataclass
+class CommandBuffer:
+    """Last command of each shepherd, and whether it answers the present state."""
+
+    n_shepherds: int
+    velocity: Tensor = field(init=False)  # (H, 2) m/s, NaN kept as it came
+    answered: list[bool] = field(init=False)
+    age: list[int] = field(init=False)  # steps since the last command; huge if there was none
+
+    NEVER = 1 << 30
+
+    def __post_init__(self) -> None:
+        """Start with no command from anybody."""
+        self.velocity = torch.zeros(self.n_shepherds, 2)
+        self.answered = [False] * self.n_shepherds
+        self.age = [self.NEVER] * self.n_shepherds
+
+    def expect(self) -> None:
+        """Begin to wait for answers to a new state."""
+        self.answered = [False] * self.n_shepherds
+        self.age = [min(age + 1, self.NEVER) for age in self.age]
+
+    def add(self, shepherd: int, velocity: tuple[float, float]) -> None:
+        """Take a command as the answer to the present state; a later one replaces it."""
+        self.velocity[shepherd, 0], self.velocity[shepherd, 1] = velocity
+        self.answered[shepherd] = True
+        self.age[shepherd] = 0
+
+    @property
+    def complete(self) -> bool:
+        """Return whether every shepherd has answered."""
+        return all(self.answered)
+
+    def silent(self) -> list[int]:
+        """Return the shepherds that have not answered."""
+        return [h for h, answered in enumerate(self.answered) if not answered]
+
+    def held(self, watchdog_steps: int) -> Tensor:
+        """Return the last commands (H, 2) m/s, zero for those older than the watchdog allows."""
+        fresh = torch.tensor([age <= watchdog_steps for age in self.age])
+        return torch.where(fresh[:, None], self.velocity, 0.0)

@@ -1,0 +1,295 @@
+"""The node that owns the world: it moves sheep and shepherds, and publishes what is true."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.duration import Duration
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock as ClockMessage
+from shepherd_ros.nodes.base import OK, ShepherdNode, stamp, WARN
+from shepherd_ros.nodes.command_gate import CommandGate
+from shepherd_ros.nodes.episode import Episode
+from shepherd_ros.nodes.flock_services import FlockServices
+from shepherd_ros.nodes.markers import world_markers
+from shepherd_ros.nodes.messages import encode_poses, goal_message
+from shepherd_ros.nodes.parameters import declare, declare_config
+from shepherd_ros.nodes.runtime import run
+from shepherd_ros.nodes.transforms import TransformOutput
+from shepherd_ros.sim.flocking import FLOCK_MODELS
+from shepherd_ros.sim.presets import PRESETS, world_preset
+from shepherd_ros.sim.spawn import spawn
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.transition import step
+from shepherd_ros.sim.vectors import unit
+from shepherd_ros.sim.world import WorldConfig
+from std_msgs.msg import String
+import torch
+from torch import Tensor
+
+MODES = ('lockstep', 'realtime')
+MARKER_PERIOD = 0.05  # [s] wall time between two pictures
+WATCH_PERIOD = 0.05  # [s] wall time between two looks at who is silent
+PAUSED_RESEND = 1.0  # [s] wall time after which a paused world shows its state again
+
+
+def declare_world(node: ShepherdNode) -> WorldConfig:
+    """Declare all parameters of the world; the preset gives the defaults."""
+    flock = node.option(
+        'flock', 'strombom', 'flock model: ' + ', '.join(sorted(FLOCK_MODELS)),
+        choices=tuple(sorted(FLOCK_MODELS)),
+    )  # fmt: skip
+    preset = node.option(
+        'preset', 'default', 'defaults of dt and flock: ' + ', '.join(sorted(PRESETS)),
+        choices=tuple(sorted(PRESETS)),
+    )  # fmt: skip
+    world = world_preset(preset, flock)
+    models = {
+        name: declare_config(node, world_preset(preset, name).flock, f'{name}.')
+        for name in sorted(FLOCK_MODELS)
+    }
+    start = declare_config(node, world.spawn, 'spawn.')
+    return declare_config(node, replace(world, spawn=start, flock=models[flock]))
+
+
+class FlockSim(ShepherdNode):
+    """
+    Runs one episode after another.
+
+    In lockstep the world moves as soon as every shepherd has answered the present state; in
+    realtime a wall timer moves it, and a shepherd that is silent keeps its last command until
+    the watchdog stops it.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Create the node and start the first episode."""
+        super().__init__('flock_sim', **kwargs)
+        self.world = declare_world(self)
+        self.seed: int = self.option('seed', 0, 'seed of the first episode; the next has seed + 1')
+        self.episodes: int = self.option('episodes', 0, 'episodes to run; 0: without end', low=0)
+        self.mode: str = self.option('mode', 'lockstep', 'how the world advances', choices=MODES)
+        self.rate: float = declare(
+            self, 'rate', 0.0,
+            {'doc': 'steps per second of wall time in realtime; 0: 1/dt', 'low': 0.0,
+             'high': 10_000.0}, read_only=False,
+        )  # fmt: skip
+        self.resend: float = self.option(
+            'resend_period', 0.25, 'lockstep: show an unanswered state again after [s]', low=0.01
+        )
+        self.patience: float = self.option(
+            'silence_warning', 2.0, 'lockstep: name a silent shepherd after [s]', low=0.1
+        )
+        self.paused = False
+        self.steps_left = 0  # steps to make although paused
+        self.number = -1
+        self.next_seed = self.seed
+        self.dt_ns = round(self.world.dt * 1e9)
+        self.now_ns = 0
+        self.moved: WorldState | None = None  # the state before, for the shepherds' headings
+        self.pending_goal: Tensor | None = None
+        self.sent = self.drawn = 0.0
+        self.steps_made = 0
+        self.outputs = {
+            name: self.advertise(name)
+            for name in ('episode', 'goal', '/clock', 'flock/poses', 'shepherds/poses', 'markers')
+        }
+        self.transforms = TransformOutput(self)
+        self.gate = CommandGate(self, self.on_answers)
+        self.requests = FlockServices(self)
+        self.listen('goal_pose', self.on_goal_pose)
+        self.begin_episode()
+        self.ticker = self.timer(self.period, self.on_tick) if self.mode == 'realtime' else None
+        self.timer(WATCH_PERIOD, self.watch)
+        self.add_on_set_parameters_callback(self.on_parameters)
+
+    @property
+    def period(self) -> float:
+        """Return the wall time of a step in realtime [s]."""
+        return 1 / self.rate if self.rate > 0 else self.world.dt
+
+    # ---- the course of an episode ----
+
+    def begin_episode(self, seed: int | None = None) -> None:
+        """Start the next episode, with the next seed or a given one."""
+        seed = self.next_seed if seed is None else seed
+        self.next_seed, self.number = seed + 1, self.number + 1
+        self.now_ns += self.dt_ns
+        self.state = spawn(self.world, torch.tensor(seed))
+        team = int(self.state.team_size)
+        present = {
+            f.name: getattr(self.state, f.name)[:team]
+            for f in fields(self.state)
+            if f.name in ('shepherds', 'shepherd_mask')
+        }
+        self.state = self.moved = replace(self.state, **present)
+        self.episode = Episode(
+            number=self.number,
+            seed=seed,
+            start_ns=self.now_ns,
+            n_sheep=self.world.n_sheep,
+            n_shepherds=team,
+            goal_radius=float(self.state.goal_radius),
+            frame_id=self.frame_id,
+            mode=self.mode,
+            world=self.world,
+        )
+        self.gate.begin(self.episode)
+        self.outputs['episode'].publish(String(data=self.episode.to_json()))
+        self.publish_goal()
+        # latched topics have to be there before the first state that needs them
+        for name in ('episode', 'goal'):
+            self.outputs[name].wait_for_all_acked(Duration(seconds=0.2))
+        self.get_logger().info(
+            f'episode {self.number}: seed {seed}, {self.world.n_sheep} sheep, {team} shepherds, '
+            f'{self.world.episode_steps} steps of {self.world.dt:g} s, {self.mode}'
+        )
+        self.publish_state()
+
+    def advance(self, command: Tensor) -> None:
+        """Make one step with commands (H, 2) m/s, or begin the next episode after the last."""
+        if int(self.state.step) >= self.world.episode_steps:
+            if self.number + 1 == self.episodes:
+                self.finish()
+            else:
+                self.begin_episode()
+            return
+        self.moved = self.state
+        self.state = step(self.state, command, self.world)
+        self.now_ns += self.dt_ns
+        self.steps_made += 1
+        if self.pending_goal is not None:
+            self.set_goal(self.pending_goal)
+        self.publish_state()
+
+    def finish(self) -> None:
+        """Stop after the last episode, once its last messages are out."""
+        if not self.finished:
+            self.get_logger().info(f'{self.episodes} episodes done')
+            self.publish_diagnostics()
+            for name in ('flock/poses', 'shepherds/poses'):
+                self.outputs[name].wait_for_all_acked(Duration(seconds=1))
+            self.finished = True
+
+    # ---- what makes it move ----
+
+    def on_answers(self) -> None:
+        """In lockstep: every shepherd has answered."""
+        if self.mode == 'lockstep' and self.may_move():
+            self.advance(self.gate.commands.velocity.clone())
+
+    def on_tick(self) -> None:
+        """In realtime: it is time for a step."""
+        if self.may_move():
+            self.advance(self.gate.commands.held(self.gate.watchdog_steps))
+
+    def may_move(self) -> bool:
+        """Return whether a step may be made now, and count it if only some may."""
+        if self.finished:
+            return False
+        if self.paused and self.steps_left == 0:
+            return False
+        self.steps_left = max(self.steps_left - 1, 0)
+        return True
+
+    def resume(self) -> None:
+        """Go on after a pause was lifted or steps were asked for."""
+        if self.mode == 'lockstep' and self.gate.complete:
+            self.on_answers()
+
+    def watch(self) -> None:
+        """In lockstep: show a state again that was not answered, and name who is silent."""
+        if self.finished or self.mode != 'lockstep':
+            return
+        waited = self.wall() - self.sent
+        if self.gate.complete:
+            if waited > PAUSED_RESEND:
+                self.publish_state(again=True)
+        elif waited > self.resend:
+            self.publish_state(again=True)
+        self.gate.watch(self.patience)
+
+    # ---- what it publishes ----
+
+    def publish_state(self, again: bool = False) -> None:
+        """Publish clock and poses of the present state, and expect answers to it."""
+        if not again:
+            self.gate.expect(self.now_ns, self.dt_ns)
+        state, before = self.state, self.moved or self.state
+        self.sent = self.wall()
+        self.outputs['/clock'].publish(ClockMessage(clock=stamp(self.now_ns)))
+        for name, position, heading in (
+            ('shepherds/poses', state.shepherds, unit(state.shepherds - before.shepherds)),
+            ('flock/poses', state.sheep, state.heading),
+        ):
+            self.outputs[name].publish(encode_poses(self.now_ns, self.frame_id, position, heading))
+        self.transforms.publish(self.now_ns, state.shepherds)
+        if self.sent - self.drawn > MARKER_PERIOD:
+            if self.outputs['markers'].get_subscription_count():
+                self.outputs['markers'].publish(world_markers(self.now_ns, self.frame_id, state))
+            self.drawn = self.sent
+
+    def publish_goal(self) -> None:
+        """Publish where the goal is."""
+        self.outputs['goal'].publish(goal_message(self.now_ns, self.frame_id, self.state.goal))
+
+    def set_goal(self, goal: Tensor) -> None:
+        """Move the goal now, (2,) m."""
+        self.pending_goal = None
+        self.state = replace(self.state, goal=goal)
+        self.publish_goal()
+
+    def move_goal(self, x: float, y: float) -> None:
+        """Move the goal before the next state is published; at once in a paused world."""
+        self.get_logger().info(f'goal moves to {x:g}, {y:g} m')
+        self.pending_goal = torch.tensor([x, y], dtype=torch.float32)
+        if self.paused and self.steps_left == 0:
+            self.set_goal(self.pending_goal)
+
+    def on_goal_pose(self, message: Any) -> None:
+        """Move the goal to a published pose, if its frame is ours."""
+        position, frame_id = message.pose.position, message.header.frame_id
+        if frame_id != self.frame_id:
+            self.get_logger().warning(
+                f'goal_pose is in frame {frame_id!r}, expected {self.frame_id!r}: ignored; set '
+                f'the fixed frame of your tool to {self.frame_id!r}'
+            )
+        elif not torch.tensor([position.x, position.y]).isfinite().all():
+            self.get_logger().warning(
+                f'goal_pose is {position.x}, {position.y}: expected finite numbers, ignored'
+            )
+        else:
+            self.move_goal(position.x, position.y)
+
+    # ---- parameters and diagnostics ----
+
+    def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Take a new rate; every other parameter is read-only."""
+        for parameter in parameters:
+            if parameter.name == 'rate':
+                self.rate = parameter.value
+                if self.ticker is not None:
+                    self.ticker.timer_period_ns = round(self.period * 1e9)
+        return SetParametersResult(successful=True)
+
+    def diagnose(self) -> list[DiagnosticStatus]:
+        """Return how the episode goes and what is wrong with commands."""
+        rate, self.steps_made = self.steps_made, 0
+        episode = self.status(
+            'episode',
+            WARN if self.paused else OK,
+            'paused' if self.paused else 'running',
+            episode=self.number,
+            seed=self.episode.seed,
+            step=int(self.state.step),
+            steps_per_second=rate,
+            mode=self.mode,
+        )
+        return [episode, self.gate.diagnose()]
+
+
+def main() -> int:
+    """Own the world: move sheep and shepherds, publish poses, goal, episode and /clock."""
+    return run(FlockSim, 'flock_sim', main.__doc__ or '')

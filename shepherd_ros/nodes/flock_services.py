@@ -1,0 +1,97 @@
+"""
+The services of flock_sim: ~/reset, ~/pause, ~/step and ~/move_goal.
+
+Only standard types: those with arguments are rcl_interfaces/srv/SetParameters, whose request is a
+list of named, typed values and whose answer has a success and a reason for each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import math
+from typing import Any, TYPE_CHECKING
+
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import parameter_value_to_python
+from shepherd_ros.config import ConfigError
+from std_srvs.srv import SetBool
+
+if TYPE_CHECKING:
+    from shepherd_ros.nodes.flock_node import FlockSim
+
+
+class FlockServices:
+    """Offers the services and carries them out."""
+
+    def __init__(self, node: FlockSim) -> None:
+        """Create the services."""
+        self.node = node
+        for name, action in (
+            ('reset', self.reset),
+            ('step', self.step),
+            ('move_goal', self.move_goal),
+        ):
+            node.create_service(SetParameters, f'~/{name}', self._named_arguments(name, action))
+        node.create_service(SetBool, '~/pause', self.pause)
+
+    def _named_arguments(self, name: str, action: Any) -> Any:
+        """Return a callback that reads named arguments and answers with one result for each."""
+
+        def serve(request: Any, response: Any) -> Any:
+            try:
+                given = {p.name: parameter_value_to_python(p.value) for p in request.parameters}
+                result = SetParametersResult(successful=True, reason=action(given))
+            except ConfigError as error:
+                result = SetParametersResult(successful=False, reason=f'{name}: {error}')
+                self.node.get_logger().warning(result.reason)
+            response.results = [result] * max(len(request.parameters), 1)
+            return response
+
+        return serve
+
+    def reset(self, given: Mapping[str, Any]) -> str:
+        """Start a new episode: argument seed (integer), else the next seed."""
+        (seed,) = _take(given, {'seed': int}, required=False)
+        self.node.begin_episode(seed)
+        return f'episode {self.node.number}, seed {self.node.episode.seed}'
+
+    def step(self, given: Mapping[str, Any]) -> str:
+        """Make n steps (integer, 1 by default), then pause."""
+        (n,) = _take(given, {'n': int}, required=False)
+        if n is not None and n < 1:
+            raise ConfigError(f'n is {n}: expected at least 1')
+        self.node.paused, self.node.steps_left = True, n or 1
+        self.node.resume()
+        return f'{n or 1} steps, then paused'
+
+    def move_goal(self, given: Mapping[str, Any]) -> str:
+        """Move the goal to x, y [m] in the world frame."""
+        x, y = _take(given, {'x': float, 'y': float}, required=True)
+        self.node.move_goal(x, y)
+        return f'goal moves to {x:g}, {y:g} m'
+
+    def pause(self, request: Any, response: Any) -> Any:
+        """Pause on true, go on on false."""
+        self.node.paused, self.node.steps_left = request.data, 0
+        self.node.resume()
+        response.success, response.message = True, 'paused' if request.data else 'running'
+        return response
+
+
+def _take(given: Mapping[str, Any], known: Mapping[str, type], required: bool) -> list[Any]:
+    """Return the arguments in the order known, None for one left out; ConfigError for others."""
+    for name in given:
+        if name not in known:
+            raise ConfigError(f'argument {name!r}: expected {", ".join(known)}')
+    values = []
+    for name, kind in known.items():
+        value = given.get(name)
+        if kind is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if (value is None and required) or (value is not None and type(value) is not kind):
+            raise ConfigError(f'argument {name} is {value!r}: expected {kind.__name__}')
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ConfigError(f'argument {name} is {value}: expected a finite number')
+        values.append(value)
+    return values

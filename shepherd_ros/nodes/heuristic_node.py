@@ -1,0 +1,118 @@
+"""A node for each controller of the core: poses in, velocities out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Twist
+from rclpy.publisher import Publisher
+from shepherd_ros.controllers import controller_type
+from shepherd_ros.controllers.base import Controller, Memory
+from shepherd_ros.nodes.base import OK, ShepherdNode, WARN
+from shepherd_ros.nodes.episode import Episode
+from shepherd_ros.nodes.listener import Listener
+from shepherd_ros.nodes.messages import command_message
+from shepherd_ros.nodes.parameters import declare_config
+from shepherd_ros.nodes.runtime import run
+from shepherd_ros.sim.perception import perceive
+from shepherd_ros.sim.state import WorldState
+import torch
+
+ALL = -1
+
+
+class HeuristicNode(ShepherdNode):
+    """Answers every state with a command for each of its shepherds, all of them by default."""
+
+    def __init__(self, controller: str, **kwargs: Any) -> None:
+        """Create the node of the controller with that name."""
+        super().__init__(controller, **kwargs)
+        self.kind = controller_type(controller)
+        self.options = declare_config(self, self.kind.config_type())
+        self.shepherd_ids: list[int] = self.option(
+            'shepherd_ids', [ALL], 'shepherds to command; [-1]: all of the episode'
+        )
+        self.noise_std: float = self.option(
+            'noise_std', 0.0, 'noise on all perceived positions [m]', low=0.0
+        )
+        self.stamped: bool = self.option(
+            'stamped',
+            True,
+            'publish TwistStamped; false: Twist, which cannot be matched to a state',
+        )
+        self.controller: Controller | None = None
+        self.memory: Memory = {}
+        self.last: tuple[int, torch.Tensor] | None = None
+        self.outputs: dict[int, Publisher] = {}
+        self.listener = Listener(self, self.on_state, self.on_episode)
+
+    def on_episode(self, episode: Episode) -> None:
+        """Forget the episode before and make ready to command the team of this one."""
+        self.controller = self.kind(self.options, episode.world)
+        self.last = None
+        wanted = self.shepherd_ids
+        team = range(episode.n_shepherds) if ALL in wanted else wanted
+        strangers = [h for h in team if not 0 <= h < episode.n_shepherds]
+        if strangers:
+            self.get_logger().error(
+                f'shepherd_ids has {strangers}: expected 0 to {episode.n_shepherds - 1}, '
+                'as this episode has no others; they get no commands'
+            )
+        mine = [h for h in team if h not in strangers]
+        for h in [h for h in self.outputs if h not in mine]:
+            self.destroy_publisher(self.outputs.pop(h))
+        kind = '' if self.stamped else 'geometry_msgs/msg/Twist'
+        for h in [h for h in mine if h not in self.outputs]:
+            self.outputs[h] = self.advertise('shepherd_{h}/cmd_vel', h, kind)
+
+    def on_state(self, ns: int, state: WorldState, episode: Episode) -> None:
+        """Answer a state; one that comes again gets the same answer."""
+        assert self.controller is not None
+        if self.last is None or ns != self.last[0]:
+            seen = perceive(state, self.noise_std)
+            if self.last is None or ns < self.last[0]:
+                self.memory = self.controller.begin(seen)
+            command, self.memory = self.controller.act(seen, self.memory)
+            self.last = (ns, command)
+        for h, output in self.outputs.items():
+            message = command_message(ns, self.frame_id, self.last[1][h])
+            output.publish(message if self.stamped else _plain(message))
+
+    def diagnose(self) -> list[DiagnosticStatus]:
+        """Return whether states come in."""
+        heard = self.listener.states > 0
+        return [
+            self.status(
+                'controller',
+                OK if heard else WARN,
+                'commanding' if heard else 'no state of the world heard yet',
+                states=self.listener.states,
+                shepherds=sorted(self.outputs),
+            )
+        ]
+
+
+def _plain(message: Any) -> Twist:
+    twist: Twist = message.twist
+    return twist
+
+
+def strombom() -> int:
+    """Run the Strömbom controller."""
+    return run(lambda: HeuristicNode('strombom'), 'strombom', strombom.__doc__ or '')
+
+
+def pierson() -> int:
+    """Run the Pierson controller."""
+    return run(lambda: HeuristicNode('pierson'), 'pierson', pierson.__doc__ or '')
+
+
+def idle() -> int:
+    """Run the controller that stands still, a floor to compare with."""
+    return run(lambda: HeuristicNode('idle'), 'idle', idle.__doc__ or '')
+
+
+def random() -> int:
+    """Run the controller that wanders at random, a floor to compare with."""
+    return run(lambda: HeuristicNode('random'), 'random', random.__doc__ or '')

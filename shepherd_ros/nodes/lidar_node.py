@@ -1,0 +1,95 @@
+"""The lidar node: poses in, three scans per shepherd out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from shepherd_ros.nodes.base import ERROR, OK, ShepherdNode, WARN
+from shepherd_ros.nodes.episode import Episode
+from shepherd_ros.nodes.listener import Listener
+from shepherd_ros.nodes.markers import ray_markers
+from shepherd_ros.nodes.messages import scan_message
+from shepherd_ros.nodes.parameters import declare_config
+from shepherd_ros.nodes.runtime import run
+from shepherd_ros.sim.lidar import CHANNELS, LidarConfig, scan
+from shepherd_ros.sim.perception import perceive
+from shepherd_ros.sim.state import WorldState
+import torch
+
+MARKER_PERIOD = 0.05  # [s] wall time between two pictures
+
+
+class LidarNode(ShepherdNode):
+    """Casts the rays of one shepherd, or of several, for every state of the world."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Create the node and its publishers."""
+        super().__init__('lidar', **kwargs)
+        self.config = declare_config(self, LidarConfig())
+        self.shepherd_ids: list[int] = self.option('shepherd_ids', [0], 'shepherds that carry it')
+        self.scan_frame: str = self.option(
+            'scan_frame', 'shepherd_{h}', 'frame of the scans, {h} is the index of the shepherd'
+        )
+        self.noise_std: float = self.option(
+            'noise_std', 0.0, 'noise on all perceived positions [m]', low=0.0
+        )
+        self.outputs = {
+            h: [self.advertise('shepherd_{h}/scan/' + channel, h) for channel in CHANNELS]
+            for h in self.shepherd_ids
+        }
+        self.markers = self.advertise('markers')
+        self.present: list[int] = []
+        self.drawn = 0.0
+        self.listener = Listener(self, self.on_state, self.on_episode)
+
+    def on_episode(self, episode: Episode) -> None:
+        """Find out which of the shepherds are there."""
+        self.present = [h for h in self.shepherd_ids if 0 <= h < episode.n_shepherds]
+        if self.present != self.shepherd_ids:
+            missing = sorted(set(self.shepherd_ids) - set(self.present))
+            self.get_logger().error(
+                f'shepherd_ids has {missing}: expected 0 to {episode.n_shepherds - 1}, '
+                'as this episode has no others; they get no scans'
+            )
+
+    def on_state(self, ns: int, state: WorldState, episode: Episode) -> None:
+        """Publish what the shepherds see of a state."""
+        if not self.present:
+            return
+        seen = perceive(state, self.noise_std)
+        ranges = scan(seen, self.config, torch.tensor(self.present))
+        draw = self.markers.get_subscription_count() and self.wall() - self.drawn > MARKER_PERIOD
+        for row, h in zip(ranges, self.present, strict=True):
+            frame = self.scan_frame.format(h=h)
+            for output, channel in zip(self.outputs[h], row, strict=True):
+                output.publish(
+                    scan_message(ns, frame, channel, self.config.range_max, episode.world.dt)
+                )
+            if draw:
+                origin = state.shepherds[h]
+                self.markers.publish(ray_markers(ns, self.frame_id, h, origin, row))
+                self.drawn = self.wall()
+
+    def diagnose(self) -> list[DiagnosticStatus]:
+        """Return whether states come in and the shepherds exist."""
+        level, message = OK, 'scanning'
+        if self.listener.states == 0:
+            level, message = WARN, 'no state of the world heard yet'
+        elif self.present != self.shepherd_ids:
+            level, message = ERROR, 'some shepherds are not in this episode'
+        return [
+            self.status(
+                'lidar',
+                level,
+                message,
+                states=self.listener.states,
+                shepherds=self.present,
+                rays=self.config.n_rays,
+            )
+        ]
+
+
+def main() -> int:
+    """Run the lidar of one shepherd, or of several by parameter shepherd_ids."""
+    return run(LidarNode, 'lidar', main.__doc__ or '')

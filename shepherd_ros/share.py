@@ -1,0 +1,30 @@
+"""Where the files lie that are installed beside the code, such as schemas."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import sys
+
+PACKAGE = 'shepherd_ros'
+
+
+def share_file(*parts: str) -> Path:
+    """
+    Return the path of a shared file: in the ament index, beside this Python, or in the checkout.
+
+    Raises FileNotFoundError that names every place looked at.
+    """
+    places = [Path(__file__).resolve().parents[1]]
+    try:
+        from ament_index_python.packages import get_package_share_directory
+
+        places.insert(0, Path(get_package_share_directory(PACKAGE)))
+    except (ImportError, LookupError, OSError):  # no ROS, no such package, no AMENT_PREFIX_PATH
+        pass
+    places.insert(-1, Path(sys.prefix) / 'share' / PACKAGE)
+    for place in places:
+        path = place.joinpath(*parts)
+        if path.exists():
+            return path
+    looked = ', '.join(str(place) for place in places)
+    raise FileNotFoundError(f'{Path(*parts)} is in none of {looked}: install the package again')

@@ -1,0 +1,46 @@
+"""The topics, read from msg_schemas/topics.yaml: the one contract that nodes and tools share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+from shepherd_ros.share import share_file
+import yaml
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Quality of service: what a publisher offers, and what our subscribers ask for."""
+
+    reliability: str
+    durability: str
+    depth: int
+    subscribe: str = ''  # reliability of subscribers, that of the publisher if empty
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One line of the contract; {h} in the name stands for the index of a shepherd."""
+
+    name: str
+    type: str
+    profile: str
+    frame: str
+    unit: str
+    publisher: tuple[str, ...]
+    subscribers: tuple[str, ...]
+    meaning: str
+    alternative: str = ''
+
+
+@cache
+def contract() -> tuple[dict[str, Topic], dict[str, Profile]]:
+    """Return topics by name and profiles by name."""
+    data = yaml.safe_load(share_file('msg_schemas', 'topics.yaml').read_text(encoding='utf-8'))
+    topics = {}
+    for row in data['topics']:
+        for many in ('publisher', 'subscribers'):
+            row[many] = tuple(row[many])
+        topics[row['name']] = Topic(**row)
+    return topics, {name: Profile(**row) for name, row in data['profiles'].items()}
