@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import math
 
 from shepherd_ros.config import Config, option
-from shepherd_ros.sim import kernels
+from shepherd_ros.sim.kernels import usable
+from shepherd_ros.sim.kernels.lidar import scan_discs
 from shepherd_ros.sim.noise import normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
 import torch
@@ -52,8 +53,6 @@ def cast_rays(
     from +x. From inside a solid disc every ray returns TOUCHING, from inside one that is not, its
     rim. Work is done for the rays that a disc covers, an interval of angles, and for no others.
     """
-    if kernels.usable(origin, centers):
-        return kernels.cast_rays(origin, centers, radius, mask, n_rays, range_max, solid, TOUCHING)
     batch, pitch = origin.shape[:-1], 2 * math.pi / n_rays
     offset = centers - origin[..., None, :]
     x, y, radius, mask = (
@@ -96,15 +95,29 @@ def scan(state: WorldState, config: LidarConfig, shepherds: Tensor | None = None
     Channels are CHANNELS, rays are aligned with the world. shepherds (S,) int64 names those whose
     lidars are read, all by default. An absent shepherd sees nothing.
     """
-    team = state.shepherds.shape[-2]
     if shepherds is None:
-        shepherds = torch.arange(team, device=state.shepherds.device)
+        shepherds = torch.arange(state.shepherds.shape[-2], device=state.shepherds.device)
+    return _with_faults(state, config, shepherds, _discs(state, config, shepherds))
+
+
+def _discs(state: WorldState, config: LidarConfig, shepherds: Tensor) -> Tensor:
+    """Return the ranges of a lidar without faults in which types do not hide each other."""
+    if usable(state.sheep, state.shepherds):
+        return scan_discs(
+            state,
+            shepherds,
+            config.sheep_radius,
+            config.shepherd_radius,
+            config.n_rays,
+            config.range_max,
+            TOUCHING,
+        )
     origin = state.shepherds[..., shepherds, :]
     present = state.shepherd_mask[..., shepherds, None]  # (..., S, 1)
-    others = torch.arange(team, device=origin.device) != shepherds[:, None]  # (S, H)
+    every = torch.arange(state.shepherds.shape[-2], device=origin.device)
 
     def channel(centers: Tensor, radius: Tensor, mask: Tensor, solid: bool = True) -> Tensor:
-        mask = (mask[..., None, :] & present).expand(*origin.shape[:-1], centers.shape[-2])
+        mask = (mask & present).expand(*origin.shape[:-1], centers.shape[-2])
         return cast_rays(
             origin, centers[..., None, :, :], radius, mask, config.n_rays, config.range_max, solid
         )
@@ -112,27 +125,24 @@ def scan(state: WorldState, config: LidarConfig, shepherds: Tensor | None = None
     def size(radius: float) -> Tensor:
         return torch.tensor(radius, dtype=origin.dtype, device=origin.device)
 
-    sheep = channel(state.sheep, size(config.sheep_radius), state.sheep_mask)
-    mask = state.shepherd_mask[..., None, :] & others & present
-    team_ranges = cast_rays(
-        origin,
-        state.shepherds[..., None, :, :],
-        size(config.shepherd_radius),
-        mask,
-        config.n_rays,
-        config.range_max,
-    )
-    everywhere = torch.ones_like(state.sheep_mask[..., :1])
-    goal = channel(
-        state.goal[..., None, :], state.goal_radius[..., None, None], everywhere, solid=False
-    )
-    ranges = torch.stack([sheep, team_ranges, goal], dim=-2)
+    sheep = channel(state.sheep, size(config.sheep_radius), state.sheep_mask[..., None, :])
+    others = state.shepherd_mask[..., None, :] & (every != shepherds[:, None])  # not itself
+    team = channel(state.shepherds, size(config.shepherd_radius), others)
+    radius = state.goal_radius[..., None, None]
+    goal = channel(state.goal[..., None, :], radius, torch.ones_like(present), solid=False)
+    return torch.stack([sheep, team, goal], dim=-2)
+
+
+def _with_faults(
+    state: WorldState, config: LidarConfig, shepherds: Tensor, ranges: Tensor
+) -> Tensor:
+    """Return the ranges (..., S, 3, R) m with occlusion between types, noise and dropout."""
     if config.cross_occlusion:
-        nearest_body = torch.minimum(sheep, team_ranges)[..., None, :]
+        nearest_body = ranges[..., :2, :].amin(dim=-2, keepdim=True)
         ranges = torch.where(ranges > nearest_body, torch.inf, ranges)
     if config.range_noise == 0 and config.dropout == 0:
         return ranges
-    index = torch.arange(ranges.shape[-2] * config.n_rays, device=origin.device)
+    index = torch.arange(ranges.shape[-2] * config.n_rays, device=ranges.device)
     index = (shepherds[:, None] * index.shape[0] + index).unflatten(-1, ranges.shape[-2:])
     draws = normal(state.seed, state.step, Stream.RANGE_NOISE, index, ranges.dtype)
     ranges = (ranges + config.range_noise * draws).clamp(min=TOUCHING)

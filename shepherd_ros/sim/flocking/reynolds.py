@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from shepherd_ros.config import option
 from shepherd_ros.sim.flocking.base import FlockConfig, FlockModel
 from shepherd_ros.sim.flocking.strombom import offsets
+from shepherd_ros.sim.kernels import usable
+from shepherd_ros.sim.kernels.flocking import reynolds_step
 from shepherd_ros.sim.noise import normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import clip_norm, EPSILON, from_bearing
@@ -41,6 +43,8 @@ class ReynoldsFlock(FlockConfig):
 
 def step(state: WorldState, config: ReynoldsFlock, dt: float) -> tuple[Tensor, Tensor]:
     """Return sheep and heading after dt; every sheep moves exactly speed * dt."""
+    if usable(state.sheep, state.shepherds):
+        return reynolds_step(state, config, dt)
     sheep, velocity = state.sheep, state.heading * config.speed
     x, y = offsets(sheep, sheep)
     squared = x * x + y * y

@@ -10,8 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from shepherd_ros.config import option
-from shepherd_ros.sim import kernels
 from shepherd_ros.sim.flocking.base import FlockConfig, FlockModel
+from shepherd_ros.sim.kernels import usable
+from shepherd_ros.sim.kernels.flocking import strombom_step
 from shepherd_ros.sim.noise import direction, Stream, uniform
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import EPSILON, unit
@@ -97,17 +98,6 @@ def forces(
     The sum of unit pushes by near sheep (..., N, 2), the local center (..., N, 2) m, the sum of
     unit pushes by shepherds (..., N, 2), and whether any shepherd is noticed (..., N) bool.
     """
-    if kernels.usable(sheep, shepherds):
-        return kernels.strombom_forces(
-            sheep,
-            mask,
-            shepherds,
-            shepherd_mask,
-            config.n_neighbors,
-            config.sheep_range,
-            config.shepherd_range,
-            EPSILON,
-        )
     x, y = offsets(sheep, sheep)
     squared = x * x + y * y
     from_sheep = push(x, y, squared, (squared < config.sheep_range**2) & mask[..., None, :])
@@ -125,6 +115,8 @@ def step(state: WorldState, config: StrombomFlock, dt: float) -> tuple[Tensor, T
     Equations 4.1 to 4.3: each term is a unit vector before it is weighted, and the sum is made
     one. Only the pushes of several shepherds are added as they are.
     """
+    if usable(state.sheep, state.shepherds):
+        return strombom_step(state, config, dt)
     sheep = state.sheep
     index = torch.arange(sheep.shape[-2], device=sheep.device)
     from_sheep, center, from_shepherds, reacting = forces(

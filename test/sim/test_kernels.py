@@ -1,0 +1,77 @@
+"""The compiled forms equal the plain ones, on the same float32 worlds."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from shepherd_ros.sim import kernels
+from shepherd_ros.sim.flocking import model_of
+from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
+from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.lidar import LidarConfig, scan
+from shepherd_ros.sim.spawn import spawn
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.transition import step
+from shepherd_ros.sim.world import SpawnConfig, WorldConfig
+
+FLOCKS = [
+    StrombomFlock(),
+    StrombomFlock(n_neighbors=5),
+    StrombomFlock(n_neighbors=25),
+    StrombomFlock(normalize_shepherds=True, sheep_range=3.0),
+    StrombomFlock(metric_attraction=True, sheep_range=10.0),
+    StrombomFlock(shepherd_range=6.0, graze_probability=0.5),
+    ReynoldsFlock(),
+    ReynoldsFlock(view_range=2.0, max_acceleration=5.0),
+]
+
+
+def worlds(flock, n_sheep: int, batch: int) -> tuple[WorldConfig, WorldState]:
+    start = SpawnConfig(position_std=4.0, fewest_shepherds=1)
+    config = WorldConfig(n_sheep=n_sheep, n_shepherds=5, flock=flock, spawn=start)
+    state = spawn(config, torch.arange(batch) + 40)
+    fewer = torch.arange(n_sheep) < (n_sheep - torch.arange(batch)).clamp(min=1)[:, None]
+    return config, replace(state, sheep_mask=fewer)
+
+
+def both(monkeypatch: pytest.MonkeyPatch, compute):
+    assert kernels.AVAILABLE, 'numba is part of what make installs'
+    fast = compute()
+    monkeypatch.setattr(kernels, 'AVAILABLE', False)
+    plain = compute()
+    monkeypatch.undo()
+    return fast, plain
+
+
+@pytest.mark.parametrize('n_sheep', [1, 2, 30, 100])
+@pytest.mark.parametrize('flock', FLOCKS)
+def test_a_compiled_flock_step_equals_the_plain_one(monkeypatch, flock, n_sheep) -> None:
+    config, state = worlds(flock, n_sheep, batch=6)
+    law = model_of(flock).step
+    for _ in range(3):
+        fast, plain = both(monkeypatch, lambda now=state: law(now, flock, config.dt))
+        present = state.sheep_mask
+        torch.testing.assert_close(fast[0][present], plain[0][present], atol=2e-5, rtol=0)
+        torch.testing.assert_close(fast[1][present], plain[1][present], atol=1e-4, rtol=0)
+        state = step(state, torch.ones_like(state.shepherds), config)
+
+
+@pytest.mark.parametrize('n_rays', [4, 90, 512])
+def test_a_compiled_scan_equals_the_plain_one_but_for_rays_that_graze_a_rim(
+    monkeypatch, n_rays
+) -> None:
+    _, state = worlds(StrombomFlock(), 60, batch=8)
+    config = LidarConfig(n_rays=n_rays, range_max=20.0)
+    fast, plain = both(monkeypatch, lambda: scan(state, config))
+    same = (fast == plain) | ((fast - plain).abs() < 2e-3)
+    assert same.float().mean() > 0.9995
+    assert plain.isfinite().any() and (~plain.isfinite()).any()
+
+
+def test_a_compiled_scan_of_chosen_shepherds_is_those_rows_of_the_whole() -> None:
+    _, state = worlds(StrombomFlock(), 60, batch=3)
+    whole = scan(state, LidarConfig(range_noise=0.1, dropout=0.2))
+    chosen = torch.tensor([3, 1])
+    part = scan(state, LidarConfig(range_noise=0.1, dropout=0.2), chosen)
+    assert torch.equal(part, whole[:, chosen])
