@@ -54,7 +54,7 @@ def ray_scene(dtype: torch.dtype = torch.float64) -> WorldState:
 def test_two_hundred_scenes_are_those_of_every_ray_with_every_disc(dtype: torch.dtype) -> None:
     # left out: rays that pass within `margin` of a disc's edge, ranges so near the greatest range,
     # and sensors so near a rim, where a rounding decides between a range and none
-    margin, tolerance = (1e-6, 1e-5) if dtype == torch.float64 else (2e-3, 2e-3)
+    margin, tolerance = (1e-6, 1e-9) if dtype == torch.float64 else (2e-3, 5e-4)
     compared = left_out = seen = 0
     for seed in range(200):
         state, config = scene(seed)
@@ -310,7 +310,7 @@ def test_a_degenerate_world_is_seen_without_nan(dtype: torch.dtype) -> None:
 
 
 def surrounded() -> WorldState:
-    """Return worlds where each ray of each of two shepherds meets the rim of the goal 30 m away."""
+    """Return worlds where a shepherd sees the goal's rim 30 m away all round, another nothing."""
     state = state_of([[500.0, 0.0]], [[0.0, 0.0], [200.0, 0.0]], goal=[0.0, 0.0], goal_radius=30.0)
     states = [replace(state, seed=torch.tensor(seed)) for seed in range(40)]
     return batch(states)
