@@ -32,11 +32,12 @@ class MetricsNode(ShepherdNode):
         self.before: WorldState | None = None
         self.values: dict[str, float] = {}
         self.gaps = 0
+        self.reported = False
         self.listener = Listener(self, self.on_state, self.on_episode)
 
     def on_episode(self, episode: Episode) -> None:
         """Start counting anew."""
-        self.before, self.gaps = None, 0
+        self.before, self.gaps, self.reported = None, 0, False
 
     def on_state(self, ns: int, state: WorldState, episode: Episode) -> None:
         """Count a step and publish what the metrics are now."""
@@ -44,9 +45,7 @@ class MetricsNode(ShepherdNode):
         if self.before is None or self.tally is None or step < int(self.before.step):
             self.tally = start_tally(state)
             self.gaps = int(step > 0)
-        elif step == int(self.before.step):
-            return
-        else:
+        elif step > int(self.before.step):  # a state that is shown again counts once
             self.gaps += int(step > int(self.before.step) + 1)
             self.tally = count_step(self.tally, self.before, state)
         self.before = state
@@ -54,7 +53,8 @@ class MetricsNode(ShepherdNode):
         self.values = {k: float(v) for k, v in metrics(self.tally, state, steps).items()}
         for name, value in self.values.items():
             self.outputs[name].publish(Float64(data=value))
-        if step == steps:
+        if step == steps and not self.reported:
+            self.reported = True
             shown = ', '.join(f'{name} {self.values[name]:.4g}' for name in PAPER_METRICS)
             lost = f' (heard with {self.gaps} gaps)' if self.gaps else ''
             self.get_logger().info(f'episode {episode.number}, seed {episode.seed}{lost}: {shown}')

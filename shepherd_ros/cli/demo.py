@@ -1,0 +1,196 @@
+"""Verb demo: a whole stack of processes herds one flock, is watched and drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import os
+from pathlib import Path
+import time
+from typing import Any, TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from shepherd_ros.cli import UserError
+from shepherd_ros.cli.processes import isolate, Running, running
+from shepherd_ros.stack import herding_stack
+
+if TYPE_CHECKING:
+    from shepherd_ros.nodes.witness import Witness
+
+PATIENCE = 60.0  # [s] wall time without any news before giving up
+
+
+@dataclass
+class Demo:
+    """Herd a flock over ROS 2 topics with separate processes; draw what happened."""
+
+    controller: str = 'strombom'
+    """Executable that commands the shepherds: strombom, pierson, idle, random."""
+    sheep: int = 100
+    """Sheep in the flock."""
+    shepherds: int = 3
+    """Shepherds, each with a lidar process of its own."""
+    flock: str = 'strombom'
+    """Flock model: strombom or reynolds."""
+    preset: str = 'default'
+    """Named setting of time step and flock."""
+    seed: int = 0
+    """Seed of the episode."""
+    steps: int = 1000
+    """Steps of the episode."""
+    out: Path = Path('out/demo')
+    """Folder for picture, animation and logs."""
+    animation: str = 'gif'
+    """Form of the animation: gif, mp4 (needs ffmpeg) or none."""
+
+    def run(self) -> int:
+        """Run the demo; return the exit code."""
+        self._check()
+        isolate(os.environ)
+        console = Console()
+        console.print(
+            f'{self.sheep} sheep, {self.shepherds} shepherds, {self.controller} on a '
+            f'{self.flock} flock, seed {self.seed}; ROS_DOMAIN_ID={os.environ["ROS_DOMAIN_ID"]}'
+        )
+        # rclpy reads the environment when it is imported
+        from shepherd_ros.nodes.witness import witnessing
+
+        with running(self.out / 'logs') as processes, witnessing() as (witness, hear):
+            self._herd(processes, witness, hear, console)
+        console.print(self._table(witness.metrics))
+        self._draw(witness, console)
+        return 0
+
+    def _check(self) -> None:
+        """Refuse what no process could do, before any is started."""
+        from shepherd_ros.controllers import controller_type
+        from shepherd_ros.sim.presets import world_preset
+
+        controller_type(self.controller)
+        world_preset(self.preset, self.flock)
+        for name, value, least in (
+            ('sheep', self.sheep, 1), ('shepherds', self.shepherds, 1), ('steps', self.steps, 1)
+        ):  # fmt: skip
+            if value < least:
+                raise UserError(f'--{name} is {value}: expected at least {least}')
+        if self.animation not in ('gif', 'mp4', 'none'):
+            raise UserError(f'--animation is {self.animation!r}: expected gif, mp4 or none')
+
+    def _herd(
+        self,
+        processes: Running,
+        witness: Witness,
+        hear: Callable[[float], None],
+        console: Console,
+    ) -> None:
+        """Start everything, the controller last, and follow the episode to its end."""
+        stack = herding_stack(
+            self.controller,
+            self.shepherds,
+            n_sheep=self.sheep,
+            flock=self.flock,
+            preset=self.preset,
+            seed=self.seed,
+            episode_steps=self.steps,
+            episodes=1,
+            wait_for_scans=True,
+        )
+        progress = Progress(
+            TextColumn('step {task.completed:.0f}/{task.total:.0f}'),
+            BarColumn(),
+            TextColumn('{task.description}'),
+            TimeElapsedColumn(),
+            console=console,
+        )
+        with progress:
+            task = progress.add_task('starting processes', total=self.steps)
+            processes.start(stack[:-1])
+            self._until(lambda: witness.hears_all, processes, witness, hear)
+            processes.start(stack[-1:])
+
+            def done() -> bool:
+                seen = witness.metrics
+                text = (
+                    f'{seen["fraction_in_goal"]:4.0%} in goal, flock '
+                    f'{seen["goal_distance"]:5.1f} m from its center'
+                )
+                progress.update(task, completed=max(witness.step, 0), description=text)
+                return processes.ended('flock_sim')
+
+            self._until(done, processes, witness, hear)
+            limit = time.monotonic() + 1.0  # the last words of metrics and lidar
+            while time.monotonic() < limit:
+                hear(0.1)
+            done()
+        if len(witness.states) != self.steps + 1:
+            raise UserError(
+                f'heard {len(witness.states)} of {self.steps + 1} states: the machine is too '
+                f'busy to follow; the logs are in {processes.logs}'
+            )
+
+    @staticmethod
+    def _until(
+        done: Callable[[], bool],
+        processes: Running,
+        witness: Witness,
+        hear: Callable[[float], None],
+    ) -> None:
+        """Hear until done; raise UserError if a process fails or nothing is heard for long."""
+        news, since, checked = -1, time.monotonic(), 0.0
+        while True:
+            hear(0.1)
+            now = time.monotonic()
+            if now - checked > 0.1:
+                checked = now
+                processes.check()
+                if done():
+                    return
+            if witness.step != news:
+                news, since = witness.step, now
+            elif now - since > PATIENCE:
+                raise UserError(
+                    f'no news for {PATIENCE:.0f} s at step {news}: the logs are in '
+                    f'{processes.logs}'
+                )
+
+    @staticmethod
+    def _table(values: dict[str, float]) -> Table:
+        """Return the metrics as a table, the paper's five first."""
+        from shepherd_ros.sim.metrics import METRICS, PAPER_METRICS
+
+        table = Table(title='Metrics of the episode')
+        for column in ('metric', 'value', 'unit', 'meaning'):
+            table.add_column(column, justify='right' if column == 'value' else 'left')
+        for name in (*PAPER_METRICS, 'fraction_in_goal', 'shepherd_path_to_completion'):
+            unit, meaning = METRICS[name]
+            table.add_row(name, f'{values[name]:.4g}', unit, meaning)
+        return table
+
+    def _draw(self, witness: Witness, console: Console) -> None:
+        """Write picture and animation."""
+        from shepherd_ros.view.track import EpisodeTrack
+
+        times, states = witness.whole()
+        track: Any = EpisodeTrack(
+            times=times,
+            sheep=states.sheep.numpy(),
+            shepherds=states.shepherds.numpy(),
+            goal=states.goal.numpy(),
+            goal_radius=float(states.goal_radius[0]),
+            title=f'{self.controller}, {self.sheep} sheep ({self.flock}), seed {self.seed}',
+            ranges=witness.ranges(),
+            lidar_shepherd=witness.shepherd,
+        )
+        from shepherd_ros.view.animation import animate
+        from shepherd_ros.view.picture import draw_tracks
+
+        picture = self.out / 'tracks.png'
+        draw_tracks(track, picture)
+        console.print(f'wrote {picture}')
+        if self.animation != 'none':
+            film = self.out / f'herding.{self.animation}'
+            with console.status(f'drawing {film}'):
+                animate(track, film)
+            console.print(f'wrote {film}')

@@ -1,0 +1,95 @@
+"""Start a stack of nodes as separate processes, and stop them all whatever happens."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+import os
+from pathlib import Path
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+from shepherd_ros.cli import UserError
+from shepherd_ros.share import share_file
+from shepherd_ros.stack import Process
+
+
+def executable(name: str) -> str:
+    """Return the path of one of our executables: beside this Python, or on the PATH."""
+    beside = Path(sys.executable).parent / name
+    path = str(beside) if beside.exists() else shutil.which(name)
+    if path is None:
+        raise UserError(
+            f'executable {name!r} is neither beside {sys.executable} nor on the PATH: '
+            'install the package, or source the workspace'
+        )
+    return path
+
+
+def isolate(environment: dict[str, str]) -> None:
+    """Set what keeps a stack to this machine and quick to start, unless the user has set it."""
+    environment.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
+    environment.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    environment.setdefault('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4')
+    profile = share_file('config', 'fastdds_quick.xml')
+    environment.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(profile))
+
+
+class Running:
+    """Processes that were started, with their output in a file each."""
+
+    def __init__(self, logs: Path) -> None:
+        """Write output into a folder."""
+        self.logs = logs
+        self.started: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self, processes: Sequence[Process]) -> None:
+        """Start processes, each in a group of its own."""
+        for process in processes:
+            with (self.logs / f'{process.name}.log').open('wb') as log:
+                self.started[process.name] = subprocess.Popen(
+                    [executable(process.executable), *process.arguments()],
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    stdin=subprocess.DEVNULL,
+                    start_new_session=True,
+                )
+
+    def ended(self, name: str) -> bool:
+        """Return whether a process has ended by itself and well."""
+        return self.started[name].poll() == 0
+
+    def check(self) -> None:
+        """Raise UserError with the last words of a process that failed."""
+        for name, process in self.started.items():
+            if process.poll() not in (None, 0):
+                text = (self.logs / f'{name}.log').read_text(errors='replace').strip()
+                last = '\n'.join(text.splitlines()[-5:])
+                raise UserError(f'{name} ended with exit code {process.returncode}:\n{last}')
+
+    def stop(self) -> None:
+        """Ask all to end, wait five seconds, then kill what is left."""
+        for process in self.started.values():
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+        limit = time.monotonic() + 5
+        for process in self.started.values():
+            try:
+                process.wait(max(0.0, limit - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+
+
+@contextmanager
+def running(logs: Path) -> Iterator[Running]:
+    """Give a set of processes that is stopped at the end of the block."""
+    logs.mkdir(parents=True, exist_ok=True)
+    processes = Running(logs)
+    try:
+        yield processes
+    finally:
+        processes.stop()
