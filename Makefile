@@ -1,0 +1,42 @@
+# Two commands do everything on a fresh machine: `make demo` and `make test`.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+
+CONTROLLER ?= strombom
+SHEEP ?= 100
+SHEPHERDS ?= 3
+FLOCK ?= strombom
+PRESET ?= default
+SEED ?= 0
+STEPS ?= 1000
+OUT ?= out/demo
+
+.PHONY: demo test setup lint table bench clean
+.DEFAULT_GOAL := demo
+
+demo: setup
+	$(BIN)/shepherd demo --controller $(CONTROLLER) --sheep $(SHEEP) --shepherds $(SHEPHERDS) \
+	  --flock $(FLOCK) --preset $(PRESET) --seed $(SEED) --steps $(STEPS) --out $(OUT)
+
+test: setup
+	$(BIN)/python -m pytest -n 2 --dist loadgroup
+
+setup: $(VENV)/.installed
+
+$(VENV)/.installed: setup.py package.xml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[jazzy,fast,dev]'
+	touch $@
+
+lint: setup
+	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/codespell
+
+table: setup  # the table of heuristics in README.md, about half an hour
+	$(BIN)/shepherd evaluate --out out/table.md
+
+bench: setup
+	$(BIN)/python benchmarks/core.py && $(BIN)/python benchmarks/ring.py
+
+clean:
+	rm -rf $(VENV) out build install log

@@ -1,0 +1,47 @@
+"""
+Simulate a flock with its shepherds: flock_sim, a lidar per shepherd, a controller and metrics.
+
+Arguments: ros2 launch shepherd_ros simulate.launch.py --show-args
+"""
+
+from launch import LaunchContext, LaunchDescription
+from launch.action import Action
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+from shepherd_ros.share import share_file
+from shepherd_ros.stack import herding_stack, LAUNCH_ARGUMENTS, launch_values
+
+
+def nodes(context: LaunchContext) -> list[Action]:
+    """Return the nodes that the arguments ask for."""
+    given = {name: LaunchConfiguration(name).perform(context) for name in LAUNCH_ARGUMENTS}
+    values = launch_values(given)
+    stack = herding_stack(values.controller, values.n_shepherds, **values.flock_sim)
+    files = [values.params_file] if values.params_file else []
+    actions: list[Action] = [
+        Node(
+            package='shepherd_ros',
+            executable=process.executable,
+            name=process.name,
+            namespace=values.namespace,
+            parameters=[process.parameters, *files],
+            output='screen',
+            on_exit=Shutdown() if process.name == 'flock_sim' else None,
+        )
+        for process in stack
+    ]
+    if values.rviz:
+        view = ['-d', str(share_file('config', 'shepherd.rviz'))]
+        actions.append(Node(package='rviz2', executable='rviz2', arguments=view))
+    return actions
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the arguments and what follows from them."""
+    arguments = [
+        DeclareLaunchArgument(name, default_value=default, description=doc)
+        for name, (default, doc) in LAUNCH_ARGUMENTS.items()
+    ]
+    return LaunchDescription([*arguments, OpaqueFunction(function=nodes)])
