@@ -1,0 +1,1 @@
+"""Bags: MCAP files in the format of rosbag2, without a ROS installation."""
