@@ -2,26 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import rclpy
 from rclpy.context import Context
 from rclpy.parameter import parameter_value_to_python
+from shepherd_ros.nodes.compose import NODES
 import yaml
 
-from shepherd_ros.nodes.base import ShepherdNode
-from shepherd_ros.nodes.flock_node import FlockSim
-from shepherd_ros.nodes.heuristic_node import HeuristicNode
-from shepherd_ros.nodes.lidar_node import LidarNode
-from shepherd_ros.nodes.metrics_node import MetricsNode
-
-NODES: dict[str, Callable[..., ShepherdNode]] = {
-    'flock_sim': FlockSim,
-    'lidar': LidarNode,
-    'metrics': MetricsNode,
-    'strombom': lambda **kwargs: HeuristicNode('strombom', **kwargs),
-    'pierson': lambda **kwargs: HeuristicNode('pierson', **kwargs),
-}
+WITH_FILE = ('flock_sim', 'lidar', 'metrics', 'strombom', 'pierson')
 
 
 def parameter_file(name: str) -> str:
@@ -29,7 +16,11 @@ def parameter_file(name: str) -> str:
     context = Context()
     rclpy.init(args=[], context=context)
     node = NODES[name](context=context)
-    lines = [f'# Every parameter of {name} with its default.', f'/**/{name}:', '  ros__parameters:']
+    lines = [
+        f'# Every parameter of {name} with its default.',
+        f'/**/{name}:',
+        '  ros__parameters:',
+    ]
     for key in sorted(node._parameters):
         text = node.describe_parameter(key).description
         if text and key not in ('use_sim_time', 'start_type_description_service'):

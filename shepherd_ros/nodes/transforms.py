@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from geometry_msgs.msg import TransformStamped
-from rclpy.node import Node
-from shepherd_ros.nodes.base import stamp
+from shepherd_ros.nodes.base import ShepherdNode, stamp
 from torch import Tensor
 
 try:
@@ -28,7 +27,7 @@ def shepherd_transforms(ns: int, world: str, shepherds: Tensor) -> list[Transfor
 class TransformOutput:
     """Publishes the shepherds' frames, so that viewers can place their scans."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: ShepherdNode) -> None:
         """Advertise /tf, if its type is installed."""
         self.node = node
         self.publisher = (

@@ -1,0 +1,37 @@
+"""Several nodes in one process: faster than a process each, the same node classes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+from shepherd_ros.controllers import CONTROLLERS
+from shepherd_ros.nodes.base import ShepherdNode
+from shepherd_ros.nodes.flock_node import FlockSim
+from shepherd_ros.nodes.heuristic_node import HeuristicNode
+from shepherd_ros.nodes.lidar_node import LidarNode
+from shepherd_ros.nodes.metrics_node import MetricsNode
+from shepherd_ros.stack import Process
+
+NODES: dict[str, Callable[..., ShepherdNode]] = {
+    'flock_sim': FlockSim,
+    'lidar': LidarNode,
+    'metrics': MetricsNode,
+    **{name: partial(HeuristicNode, name) for name in CONTROLLERS},
+}
+
+
+def compose(processes: Sequence[Process], **kwargs: Any) -> list[ShepherdNode]:
+    """
+    Return the nodes of a stack, to be spun together with nodes.runtime.spin().
+
+    Keyword arguments are those of rclpy's Node, such as a context. The executor is that of the
+    first node.
+    """
+    return [
+        NODES[process.executable](
+            cli_args=process.arguments(), use_global_arguments=False, **kwargs
+        )
+        for process in processes
+    ]
