@@ -87,8 +87,8 @@ class Config:
         for name, value in data.items():
             if name not in known:
                 raise unknown_name(f'{cls.__name__} field', name, list(known))
-            nested = known[name].default_factory  # type: ignore[misc]
+            nested = known[name].default_factory
             if is_dataclass(nested) and isinstance(value, Mapping):
-                value = nested.from_dict(value)  # type: ignore[attr-defined]
+                value = nested.from_dict(value)
             values[name] = value
         return cls(**values)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import sys
+from typing import Any
 
 from shepherd_ros.config import ConfigError
 
@@ -17,7 +19,7 @@ def main(arguments: list[str] | None = None) -> int:
     from shepherd_ros.cli.evaluate import Evaluate
     import tyro
 
-    verbs = {'demo': Demo, 'evaluate': Evaluate}
+    verbs: dict[str, Callable[..., Any]] = {'demo': Demo, 'evaluate': Evaluate}
     try:
         verb = tyro.extras.subcommand_cli_from_dict(
             verbs, prog='shepherd', description='Herd with robots.', args=arguments

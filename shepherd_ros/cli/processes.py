@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, MutableMapping, Sequence
 from contextlib import contextmanager
 import os
 from pathlib import Path
@@ -29,7 +29,7 @@ def executable(name: str) -> str:
     return path
 
 
-def isolate(environment: dict[str, str]) -> None:
+def isolate(environment: MutableMapping[str, str]) -> None:
     """Set what keeps a stack to this machine and quick to start, unless the user has set it."""
     environment.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
     environment.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,11 +32,9 @@ class Witness(ShepherdNode):
         self.metrics: dict[str, float] = {}
         self.listener = Listener(self, self.on_state)
         for k, channel in enumerate(CHANNELS):
-            self.listen(
-                'shepherd_{h}/scan/' + channel, lambda m, k=k: self.on_scan(k, m), shepherd
-            )
+            self.listen('shepherd_{h}/scan/' + channel, partial(self.on_scan, k), shepherd)
         for name in METRICS:
-            self.listen(f'metrics/{name}', lambda m, n=name: self.metrics.update({n: m.data}))
+            self.listen(f'metrics/{name}', partial(self.on_metric, name))
 
     def on_state(self, ns: int, state: WorldState, episode: Episode) -> None:
         """Keep a state of the first episode."""
@@ -48,6 +47,10 @@ class Witness(ShepherdNode):
         """Keep the ranges of one channel."""
         ranges = np.frombuffer(message.ranges, np.float32)
         self.scans.setdefault(nanoseconds(message.header.stamp), {})[channel] = ranges
+
+    def on_metric(self, name: str, message: Any) -> None:
+        """Keep the newest value of a metric."""
+        self.metrics[name] = message.data
 
     @property
     def hears_all(self) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import os
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,7 +22,6 @@ except ImportError:  # numba is optional
     njit = None
 
 AVAILABLE = njit is not None and os.environ.get('SHEPHERD_ROS_PLAIN') != '1'
-F = TypeVar('F', bound=Callable[..., Any])
 
 
 def usable(*tensors: Tensor) -> bool:
@@ -33,7 +32,7 @@ def usable(*tensors: Tensor) -> bool:
     )
 
 
-def compiled(function: F) -> F:
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return the function compiled at its first call, kept on disk; itself without numba."""
     return function if njit is None else njit(cache=True, nogil=True)(function)
 
