@@ -44,3 +44,25 @@ def contract() -> tuple[dict[str, Topic], dict[str, Profile]]:
             row[many] = tuple(row[many])
         topics[row['name']] = Topic(**row)
     return topics, {name: Profile(**row) for name, row in data['profiles'].items()}
+
+
+def topic_table() -> str:
+    """Return the contract as the table of README.md."""
+    rows = [
+        '| topic | type | quality | frame | unit | from | to | meaning |',
+        '|---|---|---|---|---|---|---|---|',
+    ]
+    for topic in contract()[0].values():
+        kinds = [kind.replace('/msg/', '/') for kind in (topic.type, topic.alternative) if kind]
+        cells = (
+            f'`{topic.name}`',
+            ' or '.join(kinds),
+            topic.profile,
+            topic.frame,
+            topic.unit,
+            ', '.join(topic.publisher),
+            ', '.join(topic.subscribers),
+            topic.meaning,
+        )
+        rows.append('| ' + ' | '.join(cells) + ' |')
+    return '\n'.join(rows) + '\n'

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
-from rclpy.time import Time
 from rclpy.timer import Timer
 from shepherd_ros import __version__
 from shepherd_ros.nodes.parameters import declare
@@ -119,4 +119,4 @@ def nanoseconds(stamp: Any) -> int:
 
 def stamp(ns: int) -> Any:
     """Return nanoseconds as a builtin_interfaces/Time."""
-    return Time(nanoseconds=ns).to_msg()
+    return Time(sec=ns // 1_000_000_000, nanosec=ns % 1_000_000_000)
