@@ -378,6 +378,17 @@ def test_a_step_of_a_degenerate_world_in_float32_is_the_reference(name: str, con
     assert_near(heading, expected[1], 1e-4)
 
 
+@pytest.mark.parametrize('n', [3, 7, 120])
+@pytest.mark.parametrize('point', [[0.0, 0.0], [10.1, -3.3], [-33.3, 27.7]], ids=str)
+def test_sheep_in_one_point_do_not_attract_each_other_wherever_it_is(
+    n: int, point: list[float]
+) -> None:
+    for dtype in (torch.float64, torch.float32):
+        state = state_of([point] * n, [[point[0] - 5.0, point[1]]]).to(dtype)
+        _, heading = flock_step(state, QUIET)
+        assert_near(heading, [[1.0, 0.0]] * n, 1e-5)  # away from the shepherd, and straight on
+
+
 # --- commands -----------------------------------------------------------------------------------
 
 

@@ -220,7 +220,9 @@ def trajectory(seed: int, n: int, m: int, steps: int) -> list[WorldState]:
     return states
 
 
-@pytest.mark.parametrize(('n', 'm', 'steps'), [(1, 1, 30), (2, 3, 30), (10, 2, 40), (100, 6, 20)])
+@pytest.mark.parametrize(
+    ('n', 'm', 'steps'), [(1, 1, 30), (2, 3, 30), (10, 2, 40), (100, 6, 20), (1000, 3, 4)]
+)
 @pytest.mark.parametrize('seed', range(4))
 def test_metrics_are_those_of_the_whole_trajectory(n: int, m: int, steps: int, seed: int) -> None:
     states = trajectory(seed, n, m, steps)
