@@ -1,0 +1,151 @@
+"""An episode as one picture: where the flock was, and the ways of flock and shepherds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgb
+from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
+import numpy as np
+from shepherd_ros.view.scene import (
+    BADGE,
+    GOAL,
+    goal_disc,
+    GOAL_FILL,
+    INK,
+    legend,
+    line,
+    make_scene,
+    SHEEP,
+    sheep_size,
+    shepherd_color,
+)
+from shepherd_ros.view.track import Array, EpisodeTrack
+
+SNAPSHOTS = 4  # times at which all sheep are drawn, pale to dark
+MARKS = 6  # times marked on the tracks, about
+SPACING = 0.045  # of the plot's width: nearest that two times are written
+HALO = [withStroke(linewidth=2.6, foreground='white')]
+
+
+def draw_tracks(track: EpisodeTrack, path: Path | str, *, scale: float = 2.0) -> None:
+    """Write the picture of an episode, as .png (or .pdf, .svg); at scale 1 it has 100 dpi."""
+    figure, axes = make_scene(track, scale)
+    steps = snapshot_steps(len(track.times))
+    draw_goal(axes, track)
+    handles = draw_flock(axes, track, steps)
+    handles += draw_ways(axes, track)
+    line(figure, 50, fontsize=9.5, color=INK).set_text(summary(track))
+    legend(figure, handles, columns=4)
+    figure.savefig(path)
+
+
+def snapshot_steps(n_steps: int) -> list[int]:
+    """Return the steps whose sheep are drawn, first and last among them."""
+    return sorted(set(np.linspace(0, n_steps - 1, SNAPSHOTS).round().astype(int).tolist()))
+
+
+def time_marks(times: Array) -> list[int]:
+    """Return the steps nearest to round times within the episode, about MARKS of them."""
+    round_times = MaxNLocator(MARKS, steps=[1, 2, 2.5, 5, 10]).tick_values(times[0], times[-1])
+    inside = round_times[(round_times >= times[0]) & (round_times <= times[-1])]
+    return sorted({int(np.abs(times - t).argmin()) for t in inside})
+
+
+def shade(share: float) -> tuple[float, float, float]:
+    """Return the colour of sheep at a share of the episode: pale at 0, full at 1."""
+    strength = 0.28 + 0.72 * share
+    red, green, blue = (1 - strength * (1 - c) for c in to_rgb(SHEEP))
+    return red, green, blue
+
+
+def draw_goal(axes: Axes, track: EpisodeTrack) -> None:
+    """Draw the goal at the end, and dashed where it started if it moved."""
+    axes.add_patch(goal_disc(track.goal[-1], track.goal_radius))
+    axes.add_patch(goal_disc(track.goal[-1], track.goal_radius, facecolor='none', zorder=2.9))
+    if (track.goal[0] != track.goal[-1]).any():
+        style = {'facecolor': 'none', 'linestyle': '--', 'linewidth': 1.0}
+        axes.add_patch(goal_disc(track.goal[0], track.goal_radius, **style))
+
+
+def draw_flock(axes: Axes, track: EpisodeTrack, steps: list[int]) -> list[Line2D]:
+    """Draw all sheep at some steps, the later over the earlier; return the legend's handles."""
+    size, last = sheep_size(track.sheep.shape[1]), len(track.times) - 1
+    style = {'marker': 'o', 'linestyle': 'none', 'markeredgecolor': 'white'}
+    handles = []
+    for order, step in enumerate(steps):
+        style |= {
+            'mfc': shade(step / last if last else 1.0),
+            'label': f'sheep, {track.times[step]:.4g} s',
+        }
+        points = {'ms': 0.85 * size, 'mew': 0.08 * size, 'zorder': 2 + 0.1 * order}
+        axes.plot(*track.sheep[step].T, **style, **points)
+        handles.append(Line2D([], [], ms=6.5, **style))
+    return handles
+
+
+def draw_ways(axes: Axes, track: EpisodeTrack) -> list[Line2D]:
+    """Draw the ways of flock and shepherds with marks of time; return the legend's handles."""
+    marks, center = time_marks(track.times), track.center
+    for shepherd, way in enumerate(track.shepherds.swapaxes(0, 1)):
+        color = shepherd_color(shepherd)
+        axes.add_collection(faded(way, color))
+        axes.plot(*way[marks].T, 'o', ms=2.8, color=color, zorder=3)
+        axes.plot(*way[:1].T, 'o', ms=6, mfc='white', mec=color, mew=1.5, zorder=4)
+        top = {'zorder': 10 + 0.01 * shepherd}
+        axes.plot(*way[-1:].T, 'o', ms=12, mfc=color, mec='white', mew=1.2, **top)
+        axes.text(*way[-1], str(shepherd), **BADGE, **top)
+    axes.plot(*center.T, color=INK, linewidth=1.8, zorder=7, path_effects=HALO)
+    axes.plot(*center[marks].T, 'o', ms=4, mfc='white', mec=INK, mew=1.2, zorder=8)
+    write_times(axes, track, marks)
+    first = {'color': shepherd_color(0), 'marker': 'o', 'linewidth': 1.3}
+    return [
+        Line2D(
+            [], [], color=INK, linewidth=1.8, marker='o', mfc='white', ms=4, label='flock center'
+        ),
+        Line2D([], [], ms=6, mfc='white', mew=1.5, label='shepherd, start', **first),
+        Line2D([], [], ms=9, mec='white', label='shepherd, end', **first),
+        Line2D([], [], ls='none', marker='o', ms=10, mfc=GOAL_FILL, mec=GOAL, label='goal'),
+    ]
+
+
+def faded(way: Array, color: str) -> LineCollection:
+    """Return a way (T, 2) m as a line that grows stronger with time."""
+    lines = np.stack([way[:-1], way[1:]], axis=1)
+    strength = np.linspace(0.3, 0.95, len(lines))
+    colors = [(*to_rgb(color), alpha) for alpha in strength]
+    return LineCollection(lines, colors=colors, linewidths=1.4, capstyle='butt', zorder=3)
+
+
+def write_times(axes: Axes, track: EpisodeTrack, marks: list[int]) -> None:
+    """Write the time beside marks of the flock's way, none too near to another."""
+    left, right = axes.get_xlim()
+    near, written = SPACING * (right - left), np.empty((0, 2))
+    for step in marks:
+        place = free_side(track.center, step, 0.75 * near)
+        if (np.linalg.norm(written - place, axis=1) < near).any():
+            continue
+        written = np.vstack([written, place])
+        style = {'fontsize': 8, 'color': INK, 'zorder': 9, 'path_effects': HALO}
+        axes.text(*place, f'{track.times[step]:.4g} s', ha='center', va='center', **style)
+
+
+def free_side(way: Array, step: int, distance: float) -> Array:
+    """Return the point at a distance beside a way (T, 2) m, on the side with more room, (2,) m."""
+    ahead = way[min(step + 1, len(way) - 1)] - way[max(step - 1, 0)]
+    length = np.linalg.norm(ahead)
+    across = np.array([-ahead[1], ahead[0]]) / length if length > 0 else np.array([0.0, 1.0])
+    sides = way[step] + distance * np.stack([across, -across])  # (2, 2)
+    room = np.linalg.norm(sides[:, None] - way, axis=-1).min(axis=1)
+    return sides[room.argmax()]
+
+
+def summary(track: EpisodeTrack) -> str:
+    """Return the line over the picture: length of the episode and share of sheep in the goal."""
+    steps, share = len(track.times) - 1, 100 * int(track.in_goal[-1]) // track.sheep.shape[1]
+    length = f'{steps} steps    {track.times[-1] - track.times[0]:.4g} s'
+    return f'{length}    {share} % of the sheep in the goal at the end'
