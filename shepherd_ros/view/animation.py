@@ -28,13 +28,9 @@ from shepherd_ros.view.track import Array, EpisodeTrack
 from shepherd_ros.view.video import video_writer
 
 TRAIL = 20  # steps that a shepherd's trail goes back
-RAYS = {
-    'sheep': '#56B4E9',
-    'shepherds': '#E08A4B',
-    'goal': '#6CC5A8',
-}  # channel -> colour of its lines
-HITS = ('#0072B2', '#D55E00', '#009E73')  # of the points where they end
-SILENT: Callable[[int, int], None] = lambda done, total: None  # noqa: E731
+# colours of the rays of each channel, and of the points where they end
+RAYS = {'sheep': '#56B4E9', 'shepherds': '#E08A4B', 'goal': '#6CC5A8'}
+HITS = ('#0072B2', '#D55E00', '#009E73')
 
 
 def animate(
@@ -43,7 +39,7 @@ def animate(
     *,
     max_frames: int = 200,
     fps: float = 20,
-    on_frame: Callable[[int, int], None] = SILENT,
+    on_frame: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
     """
     Write an episode as .gif, or as .mp4 with ffmpeg.

@@ -43,7 +43,7 @@ def sheep_size(n_sheep: int) -> float:
 
 
 def view_limits(track: EpisodeTrack) -> tuple[float, float, float, float]:
-    """Return left, right, bottom and top [m] of a plane that holds all sheep, shepherds and goal discs."""
+    """Return left, right, bottom and top [m] of a plane that holds everybody and the goal."""
     radius = track.goal_radius
     points = (track.sheep, track.shepherds, track.goal - radius, track.goal + radius)
     flat = np.concatenate([p.reshape(-1, 2) for p in points])
