@@ -1,0 +1,95 @@
+"""
+What tests have in common: threads, and for tests of nodes a DDS domain of their own.
+
+The variables are set before rclpy is imported, here and in every process that a test starts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+import fcntl
+from itertools import count
+import os
+from pathlib import Path
+import tempfile
+from typing import TYPE_CHECKING
+
+import pytest
+import torch
+
+if TYPE_CHECKING:
+    from nodes.process import Graph
+
+FIRST, DOMAINS, SHARE = 1, 101, 25  # domains 1 to 101; a worker begins SHARE after the one before
+ROOT = Path(__file__).resolve().parents[1]
+PORTS = Path('/proc/net/udp')  # of this machine, where the kernel tells
+
+os.environ |= {
+    'FASTDDS_BUILTIN_TRANSPORTS': 'UDPv4',
+    'FASTRTPS_DEFAULT_PROFILES_FILE': str(ROOT / 'config' / 'fastdds_quick.xml'),
+    'OMP_NUM_THREADS': '1',
+    'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+    'ROS_PYTHON_CHECK_FIELDS': '1',
+}
+os.environ.pop('ROS_STATIC_PEERS', None)
+torch.set_num_threads(1)
+_counter = count()
+
+
+def participants(domain: int) -> int:
+    """Return how many sockets of DDS participants of a domain are open on this machine."""
+    first = 7400 + 250 * domain
+    lines = PORTS.read_text().splitlines()[1:] if PORTS.exists() else []
+    ports = [int(line.split()[1].rpartition(':')[2], 16) for line in lines]
+    return sum(first <= port < first + 250 for port in ports)
+
+
+@contextmanager
+def own_domain() -> Iterator[int]:
+    """Lend a domain that no other test of this machine has and in which nobody is."""
+    worker = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0').removeprefix('gw'))
+    for _ in range(DOMAINS):
+        domain = FIRST + (worker * SHARE + next(_counter)) % DOMAINS
+        path = Path(tempfile.gettempdir(), f'shepherd_ros_domain_{domain}.lock')
+        with path.open('w') as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            if participants(domain):
+                continue
+            yield domain
+            return
+    pytest.fail(f'no free ROS domain in {FIRST} to {FIRST + DOMAINS - 1}')
+
+
+@contextmanager
+def own_graph(folder: Path) -> Iterator[Graph]:
+    """Lend an empty graph; whatever a test starts in it has ended afterwards."""
+    from nodes.process import Graph, until
+
+    with own_domain() as domain, pytest.MonkeyPatch.context() as patch:
+        patch.setenv('ROS_DOMAIN_ID', str(domain))
+        graph = Graph(domain, folder)
+        try:
+            others = [name for name in graph.node.get_node_names() if name != 'probe']
+            assert not others, f'domain {domain} is not empty: {others}'
+            yield graph
+        finally:
+            graph.close()
+        until(lambda: not participants(domain), f'domain {domain} is empty again')
+
+
+@pytest.fixture
+def graph(tmp_path: Path) -> Iterator[Graph]:
+    """Lend an empty graph to one test."""
+    with own_graph(tmp_path) as own:
+        yield own
+
+
+@pytest.fixture(scope='module')
+def shared_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
+    """Lend one graph to all tests of a module, which read it or clean up after themselves."""
+    with own_graph(tmp_path_factory.mktemp('graph')) as own:
+        yield own

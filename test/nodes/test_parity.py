@@ -1,0 +1,172 @@
+"""Noise or not, what happens over topics is what env.step does, bit by bit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import groupby
+from typing import Any
+
+from nodes.process import (
+    assert_same_states,
+    BEST_EFFORT,
+    Graph,
+    nanoseconds,
+    rollout,
+    Track,
+)
+import numpy as np
+import pytest
+from sensor_msgs.msg import LaserScan
+from shepherd_ros.sim.env import EnvConfig
+from shepherd_ros.sim.lidar import CHANNELS, LidarConfig, scan
+from shepherd_ros.sim.metrics import METRICS
+from shepherd_ros.sim.perception import perceive
+from shepherd_ros.sim.presets import training_world, world_preset
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.world import WorldConfig
+from std_msgs.msg import Float64
+import torch
+
+STEPS = 50
+
+
+def world_of(flock: str = 'strombom', **changes: Any) -> WorldConfig:
+    """Return the world that flock_sim has with these parameters."""
+    return replace(world_preset('default', flock), **({'episode_steps': STEPS} | changes))
+
+
+def run_whole(
+    graph: Graph, track: Track, states: list[WorldState], last: str, **parameters: Any
+) -> None:
+    """Start the controller last, when nothing can be missed, and compare every state."""
+    graph.until(lambda: track.stamps, 'the first state')
+    graph.start(last, **parameters)
+    graph.until(lambda: len(track.stamps) >= len(states), f'{len(states)} states')
+    assert_same_states(track, states)
+
+
+@pytest.mark.parametrize(
+    ('controller', 'flock'),
+    [
+        ('strombom', 'strombom'),
+        ('strombom', 'reynolds'),
+        ('pierson', 'strombom'),
+        ('pierson', 'reynolds'),
+        ('idle', 'strombom'),
+        ('random', 'strombom'),
+    ],
+)
+def test_fifty_steps_over_topics_are_fifty_calls_of_env_step(
+    graph: Graph, controller: str, flock: str
+) -> None:
+    states, _ = rollout(controller, EnvConfig(world=world_of(flock)))
+    assert len(states) == STEPS + 1
+    track = graph.track()
+    graph.start('flock_sim', flock=flock, episode_steps=STEPS, episodes=1)
+    run_whole(graph, track, states, controller)
+
+
+@pytest.mark.parametrize('noise_std', [0.0, 0.5])
+@pytest.mark.parametrize('executor', ['single', 'events'])
+def test_scans_and_metrics_over_topics_are_those_of_the_core(
+    graph: Graph, noise_std: float, executor: str
+) -> None:
+    scans: dict[tuple[int, int], list[Any]] = {
+        (h, c): graph.collect(f'shepherd_{h}/scan/{channel}', LaserScan, BEST_EFFORT)
+        for h in range(3)
+        for c, channel in enumerate(CHANNELS)
+    }
+    values = {name: graph.collect(f'metrics/{name}', Float64) for name in METRICS}
+    track = graph.track()
+    graph.start('metrics', executor=executor)
+    graph.start('lidar', executor=executor, shepherd_ids=[0, 1, 2], noise_std=noise_std)
+    topics = [f'shepherd_{h}/scan/{c}' for h in range(3) for c in CHANNELS]
+    topics += [f'metrics/{name}' for name in METRICS]
+    graph.until(lambda: all(map(graph.node.count_publishers, topics)), 'lidar and metrics')
+    graph.start(
+        'flock_sim', executor=executor, wait_for_scans=True, episode_steps=STEPS, episodes=1
+    )
+    states, metrics = rollout('strombom', EnvConfig(noise_std=noise_std, world=world_of()))
+    run_whole(graph, track, states, 'strombom', executor=executor, noise_std=noise_std)
+
+    expected_rows = [tuple(float(row[name]) for name in METRICS) for row in metrics]
+
+    def rows() -> list[tuple[float, ...]]:
+        """Return the metrics as published; those of a state that was shown again count once."""
+        heard = zip(*values.values(), strict=False)
+        return [key for key, _ in groupby(tuple(m.data for m in row) for row in heard)]
+
+    def newest(heard: list[LaserScan]) -> int:
+        return nanoseconds(heard[-1].header.stamp) if heard else 0
+
+    graph.until(lambda: len(rows()) == len(states), 'metrics of every state')
+    assert rows() == expected_rows
+    graph.until(
+        lambda: all(newest(heard) == track.last for heard in scans.values()),
+        'scans of the last state',
+    )
+    for (h, c), heard in scans.items():
+        ranges = {nanoseconds(m.header.stamp): np.frombuffer(m.ranges, np.float32) for m in heard}
+        assert sorted(ranges) == track.stamps
+        for ns, state in zip(track.stamps, states, strict=True):
+            expected = scan(perceive(state, noise_std), LidarConfig())[h, c].numpy()
+            assert np.array_equal(ranges[ns], expected), f'{h} {CHANNELS[c]} at {ns}'
+
+
+@pytest.mark.parametrize('controller', ['strombom', 'pierson'])
+def test_episodes_in_a_row_are_those_of_the_environment_and_the_process_then_exits_zero(
+    graph: Graph, controller: str
+) -> None:
+    states, _ = rollout(controller, EnvConfig(world=world_of(episode_steps=12)), 7, episodes=3)
+    assert [int(state.seed) for state in states[::13]] == [7, 8, 9]
+    track = graph.track()
+    sim = graph.start('flock_sim', seed=7, episode_steps=12, episodes=3)
+    run_whole(graph, track, states, controller)
+    assert sim.wait() == 0, sim
+    assert '3 episodes done' in sim.text
+    graph.spin()
+    assert track.last == track.stamps[len(states) - 1]
+
+
+@pytest.mark.parametrize('controller', ['strombom', 'pierson'])
+def test_teams_of_varying_size_and_goals_are_those_of_the_environment(
+    graph: Graph, controller: str
+) -> None:
+    world = replace(training_world(world_of()), n_sheep=20, episode_steps=8)
+    parameters = {
+        'n_sheep': 20, 'n_shepherds': 6, 'spawn.fewest_shepherds': 1,
+        'spawn.goal_radius_extra': 4.0, 'episode_steps': 8, 'episodes': 5,
+    }  # fmt: skip
+    track = graph.track()
+    graph.host('flock_sim', **parameters)
+    graph.host(controller, noise_std=0.2)
+    states, _ = rollout(controller, EnvConfig(noise_std=0.2, world=world), episodes=5)
+    assert len({int(state.team_size) for state in states}) > 2
+    graph.until(lambda: len(track.stamps) == len(states), 'every state')
+    assert_same_states(track, states)
+
+
+def test_the_same_seed_gives_the_same_run_and_another_seed_another(graph: Graph) -> None:
+    def run(seed: int) -> list[bytes]:
+        track = graph.track()
+        nodes = [
+            graph.host('flock_sim', seed=seed, n_sheep=30, episode_steps=20, episodes=1),
+            graph.host('strombom', noise_std=0.5),
+        ]
+        graph.until(lambda: nodes[0].finished, 'the episode ends')
+        graph.until(lambda: len(track.stamps) == 21, 'every state')
+        graph.forget(track)
+        for node in nodes:
+            graph.end(node)
+        return [raw for side in track.halves.values() for _, raw in sorted(side.items())]
+
+    first, again, other = run(3), run(3), run(4)
+    assert first == again
+    assert all(a != b for a, b in zip(first, other, strict=True))
+
+
+def test_float32_positions_survive_the_way_through_float64_unchanged() -> None:
+    bits = torch.randint(-(2**31), 2**31 - 1, (100_000,), dtype=torch.int64).to(torch.int32)
+    numbers = bits.view(torch.float32)
+    numbers = numbers[numbers.isfinite()]
+    assert torch.equal(numbers.double().float(), numbers)
