@@ -9,7 +9,6 @@ from launch.action import Action
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-
 from shepherd_ros.share import share_file
 from shepherd_ros.stack import herding_stack, LAUNCH_ARGUMENTS, launch_values
 

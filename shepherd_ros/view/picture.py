@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -75,7 +76,7 @@ def draw_goal(axes: Axes, track: EpisodeTrack) -> None:
 def draw_flock(axes: Axes, track: EpisodeTrack, steps: list[int]) -> list[Line2D]:
     """Draw all sheep at some steps, the later over the earlier; return the legend's handles."""
     size, last = sheep_size(track.sheep.shape[1]), len(track.times) - 1
-    style = {'marker': 'o', 'linestyle': 'none', 'markeredgecolor': 'white'}
+    style: dict[str, Any] = {'marker': 'o', 'linestyle': 'none', 'markeredgecolor': 'white'}
     handles = []
     for order, step in enumerate(steps):
         style |= {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -52,7 +54,7 @@ def view_limits(track: EpisodeTrack) -> tuple[float, float, float, float]:
     width = max(size[0], ASPECTS[0] * size[1])
     height = max(size[1], width / ASPECTS[1])
     half = np.array([width, height]) / 2
-    left, bottom, right, top = (*(middle - half), *(middle + half))
+    (left, bottom), (right, top) = middle - half, middle + half
     return float(left), float(right), float(bottom), float(top)
 
 
@@ -84,7 +86,7 @@ def line(figure: Figure, below: float, **style: object) -> Text:
     return figure.text(LEFT / width, 1 - below / height, '', **style)
 
 
-def legend(figure: Figure, handles: list, columns: int) -> None:
+def legend(figure: Figure, handles: list[Any], columns: int) -> None:
     """Write the legend under the plot."""
     width, height = figure.get_size_inches() * DPI
     figure.legend(

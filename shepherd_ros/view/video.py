@@ -84,7 +84,8 @@ def choose_colors(samples: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     weight = np.zeros(32**3)
     stands[bins[order]] = colors[order]
     np.add.at(weight, bins, counts)
-    gap, nearest, palette = np.full(32**3, 1e9), np.zeros(32**3, 'u1'), []
+    gap, nearest = np.full(32**3, 1e9), np.zeros(32**3, 'u1')
+    palette: list[np.ndarray] = []
     while len(palette) < COLORS and (cost := weight * gap).max() > 0:
         palette.append(stands[cost.argmax()])
         away = ((stands - palette[-1]) ** 2).sum(axis=1)
@@ -103,6 +104,7 @@ def write_mp4(path: Path, frames: Frames, fps: float, ffmpeg: str) -> None:
     with tempfile.TemporaryFile() as log:
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=log)
         with contextlib.suppress(BrokenPipeError), process:  # if it gives up, the log says why
+            assert process.stdin is not None  # as it is a pipe
             for frame in itertools.chain([first], frames):
                 process.stdin.write(frame.tobytes())
         if process.returncode != 0:

@@ -3,8 +3,6 @@
 from dataclasses import replace
 
 import pytest
-import torch
-
 from shepherd_ros.sim import kernels
 from shepherd_ros.sim.flocking import model_of
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
@@ -14,6 +12,7 @@ from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import step
 from shepherd_ros.sim.world import SpawnConfig, WorldConfig
+import torch
 
 FLOCKS = [
     StrombomFlock(),

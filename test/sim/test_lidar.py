@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 import math
 
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 from reference import assert_near, batch, lidar, make_state, moved, padded, state_of, World

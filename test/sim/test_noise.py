@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import pytest
 from reference import assert_near, splitmix_bits
 from shepherd_ros.sim.noise import direction, normal, random_bits, Stream, uniform
