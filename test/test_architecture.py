@@ -1,0 +1,366 @@
+"""The rules of CONTRIBUTING.md: who imports whom, style, manifest."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from functools import cache
+from importlib import import_module, util
+from importlib.metadata import EntryPoint
+from pathlib import Path
+import re
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+import shepherd_ros
+import yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+CODE = ROOT / 'shepherd_ros'
+MODULES = sorted(CODE.rglob('*.py'))
+
+PURE = {'config', 'sim', 'controllers'}
+# layer -> (layers of ours, packages of others) that it may import
+ALLOWED: dict[str, tuple[set[str], set[str]]] = {
+    'config': (set(), set()),
+    'share': (set(), {'ament_index_python'}),
+    'topics': ({'config', 'share'}, {'yaml'}),
+    'stack': ({'config'}, set()),
+    'sim': ({'config'}, {'torch'}),
+    'sim/kernels': ({'config'}, {'numba', 'numpy', 'torch'}),
+    'policy': ({'config'}, {'safetensors', 'torch'}),
+    'controllers': ({'config', 'sim', 'policy'}, {'torch'}),
+    'bags': ({'config', 'share', 'topics'}, {'mcap', 'numpy', 'rosbags', 'yaml'}),
+    'learning': (
+        {'config', 'sim', 'controllers', 'policy', 'bags'},
+        {'numpy', 'tensorboard', 'torch'},
+    ),
+    'evaluation': (
+        {'config', 'sim', 'controllers', 'policy'},
+        {'matplotlib', 'numpy', 'torch'},
+    ),
+    'view': ({'config', 'share', 'sim'}, {'PIL', 'matplotlib', 'numpy'}),
+    'nodes': (
+        {'config', 'share', 'topics', 'stack', 'sim', 'controllers', 'policy', 'bags'},
+        {'numpy', 'rclpy', 'torch', 'yaml'},
+    ),
+    'cli': (
+        {
+            'config', 'share', 'topics', 'stack', 'sim', 'controllers', 'policy', 'bags',
+            'learning', 'evaluation', 'view', 'nodes',
+        },
+        {'numpy', 'rich', 'torch', 'tyro', 'yaml'},
+    ),
+}  # fmt: skip
+# a law of the world reads no file, no clock and no random state
+IMPURE = {
+    'csv', 'datetime', 'io', 'json', 'pathlib', 'pickle', 'random', 'secrets', 'shutil', 'socket',
+    'sqlite3', 'subprocess', 'tempfile', 'threading', 'time',
+}  # fmt: skip
+GLOBAL_TOPICS = {'/clock', '/diagnostics', '/tf'}  # whose names ROS 2 fixes
+LONGEST_FILE, LONGEST_SCRIPT = 300, 40
+ROSDEP = {'PIL': 'python3-pil'}  # where the key of rosdep is not python3-<package>
+NOT_IN_ROSDEP = {'numba', 'torch', 'tyro'}  # installed with pip, as README.md says
+PYPI = {'PIL': 'pillow', 'yaml': 'pyyaml'}  # where the distribution has another name
+
+
+def is_ros(package: str) -> bool:
+    """Return whether a package comes with ROS."""
+    return package.endswith(('_msgs', '_srvs', '_interfaces')) or package in (
+        'ament_index_python', 'launch', 'launch_ros', 'rclpy',
+    )  # fmt: skip
+
+
+def layer_of(path: Path) -> str:
+    """Return the layer of a file of ours; empty for the package itself."""
+    parts = path.relative_to(CODE).with_suffix('').parts
+    if parts[:2] == ('sim', 'kernels'):
+        return 'sim/kernels'
+    return '' if parts[0] == '__init__' else parts[0]
+
+
+@cache
+def tree(path: Path) -> ast.Module:
+    """Return the syntax tree of a file."""
+    return ast.parse(path.read_text(encoding='utf-8'), str(path))
+
+
+def imports(node: ast.AST, lazy: bool = True) -> Iterator[str]:
+    """Yield the full names of imported modules; lazy: also those that starting does not import."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.If) and 'TYPE_CHECKING' in ast.dump(child.test) and not lazy:
+            continue
+        if isinstance(child, ast.Import):
+            yield from (alias.name for alias in child.names)
+        elif isinstance(child, ast.ImportFrom):
+            assert child.level == 0, f'line {child.lineno}: a relative import'
+            yield from (f'{child.module}.{alias.name}' for alias in child.names)
+        elif lazy or not isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield from imports(child, lazy)
+
+
+def ours(name: str) -> str | None:
+    """Return the layer of ours that an import names, None for a package of others."""
+    package, _, rest = name.partition('.')
+    return rest.partition('.')[0] if package == 'shepherd_ros' else None
+
+
+def tracked() -> list[Path]:
+    """Return the files that git knows; skip the test without git."""
+    try:
+        listed = subprocess.run(
+            ['git', 'ls-files', '-z'], cwd=ROOT, capture_output=True, check=True
+        ).stdout.decode()
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip('this is no git checkout')
+    paths = [ROOT / name for name in listed.split('\0') if name]
+    return [path for path in paths if path.is_file()]
+
+
+def short(path: Path) -> str:
+    """Return a path as messages show it."""
+    return path.relative_to(ROOT).as_posix()
+
+
+# ---- imports ----
+
+
+@pytest.mark.parametrize('path', MODULES, ids=short)
+def test_layers_import_only_what_they_may(path: Path) -> None:
+    layer = layer_of(path)
+    mine, others = ALLOWED.get(layer, (set(), set()))
+    allowed = mine | {layer.split('/')[0], '__version__'}
+    for name in imports(tree(path)):
+        part, package = ours(name), name.partition('.')[0]
+        if part is not None:
+            assert part in allowed, f'{layer} imports {name}'
+        elif package not in sys.stdlib_module_names:
+            message = layer == 'nodes' and is_ros(package)
+            assert package in others or message, f'{layer} imports {name}'
+
+
+def test_contributors_read_the_same_rules() -> None:
+    assert {layer_of(path) for path in MODULES} - {''} <= set(ALLOWED)
+    text = (ROOT / 'CONTRIBUTING.md').read_text(encoding='utf-8')
+    rows = re.findall(r'^\| `([a-z/]+)` \| (.+) \|$', text, re.MULTILINE)
+    assert [layer for layer, _ in rows] == list(ALLOWED)
+    for layer, told in rows:
+        names = {name for name in told.split(', ') if name not in ('nothing', 'messages')}
+        mine = {name.strip('`') for name in names if name.startswith('`')}
+        others = {name for name in names if re.fullmatch(r'\w+', name)}
+        if layer == 'cli':
+            mine = {name for name in ALLOWED if name not in ('cli', 'sim/kernels')}
+        assert (mine, others) == ALLOWED[layer], layer
+
+
+@pytest.mark.parametrize('path', MODULES, ids=short)
+def test_laws_of_the_world_use_neither_files_nor_clock_nor_random_state(path: Path) -> None:
+    if layer_of(path).split('/')[0] not in PURE:
+        return
+    assert {name.partition('.')[0] for name in imports(tree(path))}.isdisjoint(IMPURE)
+    for node in ast.walk(tree(path)):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            used = f'{node.value.id}.{node.attr}'
+            assert not re.match(
+                r'(torch|np)\.(rand|manual_seed|seed|Generator|save|load|from_file)', used
+            ), f'line {node.lineno}: {used}; random numbers come from sim.noise'
+
+
+def test_commands_import_nodes_only_inside_functions() -> None:
+    for path in MODULES:
+        if layer_of(path) == 'cli':
+            early = [name for name in imports(tree(path), lazy=False) if ours(name) == 'nodes']
+            assert early == [], short(path)
+
+
+def test_everything_but_nodes_runs_without_ros() -> None:
+    names = [
+        '.'.join(path.relative_to(ROOT).with_suffix('').parts)
+        for path in MODULES
+        if layer_of(path) != 'nodes' and path.name != '__main__.py'
+    ]
+    code = f"""
+import importlib, sys
+class NoRos:
+    def find_spec(self, name, path=None, target=None):
+        package = name.partition('.')[0]
+        if package == 'rclpy' or package.endswith(('_msgs', '_srvs', '_interfaces')):
+            raise AssertionError(name)
+sys.meta_path.insert(0, NoRos())
+for name in {names!r}:
+    importlib.import_module(name.removesuffix('.__init__'))
+"""
+    command = [sys.executable, '-c', code]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+# ---- style ----
+
+
+def test_topic_names_are_relative() -> None:
+    for path in MODULES:
+        if layer_of(path) != 'nodes':
+            continue
+        nodes = list(ast.walk(tree(path)))
+        inner = {
+            part for node in nodes if isinstance(node, ast.JoinedStr) for part in node.values[1:]
+        }
+        for node in nodes:
+            if isinstance(node, ast.Constant) and re.match(r'/[A-Za-z]', str(node.value)):
+                known = node.value in GLOBAL_TOPICS or node in inner
+                assert known, f'{short(path)}:{node.lineno}: {node.value}'
+
+
+def test_files_are_short() -> None:
+    for path in MODULES:
+        assert len(path.read_text(encoding='utf-8').splitlines()) <= LONGEST_FILE, short(path)
+    for path in (ROOT / 'scripts').glob('*.py'):
+        assert len(path.read_text(encoding='utf-8').splitlines()) < LONGEST_SCRIPT, short(path)
+
+
+def public(node: ast.AST, prefix: str = '') -> Iterator[tuple[str, Any]]:
+    """Yield the functions, methods and classes that others may use."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.If | ast.Try):
+            yield from public(child, prefix)
+        elif isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            if child.name.startswith('_') and not child.name.startswith('__'):
+                continue
+            yield f'{prefix}{child.name}', child
+            if isinstance(child, ast.ClassDef):
+                yield from public(child, f'{child.name}.')
+
+
+@pytest.mark.parametrize('path', MODULES, ids=short)
+def test_whatever_is_public_says_what_it_is_and_returns(path: Path) -> None:
+    assert ast.get_docstring(tree(path)), 'the module says nothing'
+    for name, node in public(tree(path)):
+        assert ast.get_docstring(node), f'{name} has no docstring'
+        if not isinstance(node, ast.ClassDef) and layer_of(path) != 'sim/kernels':
+            assert node.returns is not None, f'{name} does not say what it returns'
+
+
+def test_files_name_no_place_of_one_machine_and_leave_nothing_to_do() -> None:
+    here = [f'/{"work"}/', f'{Path.home()}/']
+    if len(ROOT.parts) > 2:
+        here.append(str(ROOT))
+    markers = re.compile(r'\b({})\b'.format('|'.join(('TODO', 'FIXME', 'X' * 3, 'TBD'))))
+    for path in tracked():
+        try:
+            text = path.read_text(encoding='utf-8')
+        except UnicodeDecodeError:  # not a text
+            continue
+        for place in here:
+            assert place not in text, f'{short(path)} names {place}'
+        assert not markers.search(text), f'{short(path)}: {markers.search(text)}'
+
+
+@pytest.mark.parametrize(
+    ('module', 'arguments'),
+    [
+        ('ruff', ['check', '.']),
+        ('ruff', ['format', '--check', '.']),
+        ('codespell_lib', []),
+        pytest.param('mypy', [], marks=pytest.mark.timeout(300)),
+    ],
+    ids=['ruff-check', 'ruff-format', 'codespell', 'mypy'],
+)
+def test_linters_are_content(module: str, arguments: list[str]) -> None:
+    if util.find_spec(module) is None:
+        pytest.skip(f'{module} is not installed')
+    command = [sys.executable, '-m', module, *arguments]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+# ---- manifest and setup ----
+
+
+@pytest.fixture(scope='module')
+def manifest() -> Any:
+    """Return package.xml as catkin_pkg reads it."""
+    return pytest.importorskip('catkin_pkg.package').parse_package(str(ROOT / 'package.xml'))
+
+
+@pytest.fixture(scope='module')
+def distribution() -> Any:
+    """Return what setup.py says, without running any of its commands."""
+    import setuptools  # noqa: F401  (brings distutils)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(ROOT)
+        patch.setattr(sys, 'argv', ['setup.py'])
+        return import_module('distutils.core').run_setup('setup.py', stop_after='init')
+
+
+def all_imports(*folders: str) -> set[str]:
+    """Return the packages of others that are imported anywhere in folders."""
+    paths = [path for folder in folders for path in (ROOT / folder).rglob('*.py')]
+    packages = {name.partition('.')[0] for path in paths for name in imports(tree(path))}
+    return packages - sys.stdlib_module_names - {'shepherd_ros'}
+
+
+def test_manifest_is_valid(manifest: Any) -> None:
+    warnings: list[str] = []
+    manifest.validate(warnings=warnings)
+    assert warnings == []
+    assert manifest.package_format == 3
+    assert manifest.get_build_type() == 'ament_python'
+    assert manifest.licenses == ['Apache-2.0']
+
+
+def test_manifest_names_what_is_imported(manifest: Any) -> None:
+    needed = {depend.name for depend in manifest.exec_depends}
+    for package in all_imports('shepherd_ros', 'launch'):
+        key = package if is_ros(package) else ROSDEP.get(package, f'python3-{package}')
+        assert key in needed or package in NOT_IN_ROSDEP, f'package.xml has no exec_depend {key}'
+    assert {depend.name for depend in manifest.test_depends} >= {'python3-pytest'}
+
+
+def test_setup_names_what_is_imported(distribution: Any) -> None:
+    extras = distribution.extras_require
+    always = {re.split(r'[<>=\[]', name)[0] for name in distribution.install_requires}
+    optional = {re.split(r'[<>=\[]', name)[0] for name in extras['fast']}
+    for package in all_imports('shepherd_ros'):
+        if not is_ros(package):
+            assert PYPI.get(package, package) in always | optional, package
+    assert 'pytest' in extras['test']  # by which colcon knows that there are tests to run
+
+
+def test_versions_agree(manifest: Any, distribution: Any) -> None:
+    assert manifest.version == shepherd_ros.__version__ == distribution.get_version()
+    changes = (ROOT / 'CHANGELOG.rst').read_text(encoding='utf-8')
+    assert re.search(rf'^{re.escape(manifest.version)} \(', changes, re.MULTILINE)
+
+
+def test_entry_points_resolve(distribution: Any) -> None:
+    pytest.importorskip('rclpy')
+    scripts = distribution.entry_points['console_scripts']
+    targets = dict(line.split(' = ') for line in scripts)
+    assert {'shepherd', 'flock_sim', 'lidar', 'metrics', 'strombom', 'pierson'} <= set(targets)
+    for name, target in targets.items():
+        assert callable(EntryPoint(name, target, 'console_scripts').load()), name
+
+
+def test_whatever_lies_beside_the_code_is_installed(distribution: Any) -> None:
+    installed = {Path(name) for _, names in distribution.data_files for name in names}
+    for path in tracked():
+        place = path.relative_to(ROOT)
+        if place.parts[0] in ('launch', 'config', 'msg_schemas', 'resource'):
+            assert place in installed, place
+    for folder, names in distribution.data_files:
+        for name in names:
+            inside = name.startswith(('launch', 'config', 'msg_schemas'))
+            assert not inside or folder == f'share/shepherd_ros/{Path(name).parent.as_posix()}'
+
+
+def test_hooks_and_workflow_are_what_they_seem() -> None:
+    hooks = yaml.safe_load((ROOT / '.pre-commit-config.yaml').read_text(encoding='utf-8'))
+    ids = {hook['id'] for repo in hooks['repos'] for hook in repo['hooks']}
+    assert ids == {'ruff-check', 'ruff-format', 'codespell', 'large-files'}
+    workflow = yaml.safe_load((ROOT / '.github/workflows/ci.yml').read_text(encoding='utf-8'))
+    steps = workflow['jobs']['test']['steps']
+    assert steps[-1] == {'run': 'make test'}
