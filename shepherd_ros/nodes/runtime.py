@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+import re
 import signal
 import sys
 from typing import Any
 
 import rclpy
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import NotInitializedException, ParameterException
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.parameter import parameter_value_to_python
 from rclpy.utilities import remove_ros_args
 from shepherd_ros.config import ConfigError
@@ -17,6 +19,7 @@ from shepherd_ros.nodes.base import ShepherdNode
 from shepherd_ros.nodes.parameters import warn_of_unknown
 
 USER_MISTAKE = 2
+CONTEXT_ENDED = (NotInitializedException, _rclpy.InvalidHandle, _rclpy.RCLError)
 
 
 def make_executor(kind: str, context: Any = None) -> Executor:
@@ -57,18 +60,19 @@ def help_text(node: ShepherdNode, doc: str) -> str:
 
 def run(make_node: Callable[[], ShepherdNode], name: str, doc: str) -> int:
     """Run one node as a process; return its exit code, 0 after SIGINT or SIGTERM."""
-    words = remove_ros_args(sys.argv)[1:]
-    strange = [word for word in words if word not in ('-h', '--help')]
-    if strange:
-        print(
-            f'{name}: unknown argument {strange[0]!r}: expected --help, or --ros-args followed by '
-            '-p name:=value, -r from:=to or --params-file FILE',
-            file=sys.stderr,
-        )
-        return USER_MISTAKE
-    node = None
+    # both signals end rclpy's context, which ends spin(); KeyboardInterrupt could come anywhere
+    signal.signal(signal.SIGINT, lambda *_: None)
+    node, started = None, False
     try:
+        words = remove_ros_args(sys.argv)[1:]
+        strange = [word for word in words if word not in ('-h', '--help')]
+        if strange:
+            raise ConfigError(
+                f'unknown argument {strange[0]!r}: expected --help, or --ros-args followed by '
+                '-p name:=value, -r from:=to or --params-file FILE'
+            )
         rclpy.init()
+        started = True
         node = make_node()
         if words:
             print(help_text(node, doc))
@@ -76,12 +80,14 @@ def run(make_node: Callable[[], ShepherdNode], name: str, doc: str) -> int:
         warn_of_unknown(node)
         own = node
         spin([node], until=lambda: own.finished)
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except ExternalShutdownException:
         pass
     except (ConfigError, ParameterException) as error:
         print(f'{name}: {error}', file=sys.stderr)
         return USER_MISTAKE
     except Exception as error:
+        if started and not rclpy.ok() and isinstance(error, CONTEXT_ENDED):
+            return 0  # a signal came in the middle of a callback
         mistake = rcl_mistake(error)
         if mistake is None:
             raise
@@ -98,9 +104,11 @@ def run(make_node: Callable[[], ShepherdNode], name: str, doc: str) -> int:
 
 def rcl_mistake(error: Exception) -> str | None:
     """Return the words for a command line or parameter file that rcl refuses, else None."""
-    kind = type(error).__name__
-    if kind in ('RCLInvalidROSArgsError', 'UnknownROSArgsError', 'RCLError'):
-        text = ' '.join(str(error).split())
-        if 'arg' in text or 'param' in text or 'yaml' in text.lower():
-            return f'{text}: check the words after --ros-args and the file of --params-file'
-    return None
+    text = re.sub(r', at \S+:\d+', '', ' '.join(str(error).split()))
+    if isinstance(error, _rclpy.UnknownROSArgsError):
+        text = f'unknown words after --ros-args: {text}'
+    elif not isinstance(error, _rclpy.RCLInvalidROSArgsError):
+        about = 'arg' in text or 'param' in text or 'yaml' in text.lower()
+        if not (isinstance(error, _rclpy.RCLError) and about):
+            return None
+    return f'{text}: check the words after --ros-args and the file of --params-file'
