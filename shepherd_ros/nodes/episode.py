@@ -74,10 +74,12 @@ class Episode:
                 goal_radius=float(data['goal_radius']),
                 frame_id=str(data['frame_id']),
                 mode=str(data['mode']),
-                world=WorldConfig.from_dict(data['world']),
+                world=WorldConfig.from_dict({**data['world']}),
                 version=str(data['version']),
             )
-        except (KeyError, TypeError, json.JSONDecodeError) as error:
+        except ConfigError:
+            raise
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise ConfigError(
                 f'episode {text[:60]!r} cannot be read ({error!r}): expected JSON as in '
                 'msg_schemas/episode.schema.json'
