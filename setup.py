@@ -43,6 +43,7 @@ setup(
     ],
     install_requires=[
         'setuptools',
+        'imageio[ffmpeg]',
         'matplotlib',
         'numpy',
         'pillow',

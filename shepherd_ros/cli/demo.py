@@ -43,7 +43,7 @@ class Demo:
     out: Path = Path('out/demo')
     """Folder for picture, animation and logs."""
     animation: str = 'gif'
-    """Form of the animation: gif, mp4 (needs ffmpeg) or none."""
+    """Form of the animation: gif, mp4 or none."""
 
     def run(self) -> int:
         """Run the demo; return the exit code."""

@@ -42,7 +42,7 @@ def animate(
     on_frame: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
     """
-    Write an episode as .gif, or as .mp4 with ffmpeg.
+    Write an episode as .gif or .mp4.
 
     At most max_frames of its steps are shown, evenly spread, fps per second of playing time.
     on_frame(done, total) is called after each frame.

@@ -6,6 +6,7 @@ from pathlib import Path
 import subprocess
 import sys
 
+import imageio.v2 as imageio
 from matplotlib.colors import to_rgb
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
@@ -24,7 +25,6 @@ from shepherd_ros.view.animation import (
 from shepherd_ros.view.picture import draw_tracks, free_side, shade, snapshot_steps, time_marks
 from shepherd_ros.view.scene import GOAL_FILL, make_scene, SHEEP, shepherd_color, view_limits
 from shepherd_ros.view.track import EpisodeTrack
-from shepherd_ros.view.video import choose_colors, color_bin, COLORS
 
 WHITE = (255, 255, 255)
 
@@ -144,22 +144,6 @@ def test_later_sheep_are_darker() -> None:
     brightness = [np.dot(shade(share), (0.30, 0.59, 0.11)) for share in (0, 1 / 3, 2 / 3, 1)]
     assert (np.diff(brightness) < -0.1).all()
     assert_allclose(shade(1.0), to_rgb(SHEEP))
-
-
-def test_few_colors_are_kept_exactly() -> None:
-    rng = np.random.default_rng(0)
-    few = np.full((40, 40, 3), 255, 'u1')
-    few[:4, :4] = rng.integers(0, 32, (4, 4, 3)) * 8
-    palette, nearest = choose_colors([few])
-    assert_array_equal(palette[nearest[color_bin(few)]], few)
-
-
-def test_many_colors_become_near_ones() -> None:
-    noise = np.random.default_rng(0).integers(0, 256, (100, 100, 3), 'u1')
-    palette, nearest = choose_colors([noise])
-    error = palette[nearest[color_bin(noise)]].astype(float) - noise
-    assert len(palette) == COLORS
-    assert np.sqrt((error**2).mean()) < 256 / 8  # 128 colours: about 5 per edge of the cube
 
 
 # What is drawn
@@ -304,9 +288,9 @@ def test_a_gif_has_the_frames_of_the_steps_in_time(tmp_path: Path) -> None:
     assert seen == [(1, 5), (2, 5), (3, 5), (4, 5), (5, 5)]
     for image, step in zip(shown, [0, 10, 20, 30, 40], strict=True):
         assert image.size == tuple(figure.bbox.size.round().astype(int))
-        assert image.getpixel(pixel(track, walk[step, 2])) == rgb(SHEEP)
-        assert image.getpixel(pixel(track, (-3.0, 1.0))) == rgb(GOAL_FILL)
-        assert image.getpixel((3, 3)) == WHITE
+        assert image.getpixel(pixel(track, walk[step, 2])) == pytest.approx(rgb(SHEEP), abs=8)
+        assert image.getpixel(pixel(track, (-3.0, 1.0))) == pytest.approx(rgb(GOAL_FILL), abs=8)
+        assert image.getpixel((3, 3)) == pytest.approx(WHITE, abs=8)
     with Image.open(path) as image:
         assert image.info['loop'] == 0
         assert image.info['duration'] == 100
@@ -344,39 +328,14 @@ def test_rays_that_are_all_free_leave_no_trace() -> None:
     assert all(rays.get_segments() == [] for rays in painter.rays)
 
 
-def test_without_ffmpeg_the_error_names_the_ways_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv('PATH', '')
-    with pytest.raises(ConfigError, match=r'needs ffmpeg.*write a \.gif, or install ffmpeg'):
-        animate(still(), tmp_path / 'still.mp4')
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.fixture()
-def ffmpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a program that stands in for ffmpeg: it copies its input to its output."""
-    program = tmp_path / 'bin' / 'ffmpeg'
-    program.parent.mkdir()
-    program.write_text('#!/bin/bash\necho "$@" > "${0%/*}/arguments"\ncat > "${@: -1}"\n')
-    program.chmod(0o755)
-    monkeypatch.setenv('PATH', f'{program.parent}:/usr/bin:/bin')
-    return program
-
-
-def test_ffmpeg_is_given_every_frame(tmp_path: Path, ffmpeg: Path) -> None:
-    animate(still(3), tmp_path / 'still.mp4', fps=25)
-    painter = Painter(still(3))
-    expected = np.stack([painter.paint(step) for step in range(3)])
-    assert (tmp_path / 'still.mp4').read_bytes() == expected.tobytes()
-    height, width = expected.shape[1:3]
-    assert f'-s {width}x{height} -r 25' in ffmpeg.with_name('arguments').read_text()
-
-
-def test_what_ffmpeg_complains_of_is_passed_on(tmp_path: Path, ffmpeg: Path) -> None:
-    ffmpeg.write_text('#!/bin/bash\necho disk full >&2\nexit 1\n')
-    with pytest.raises(RuntimeError, match='disk full'):
-        animate(still(50), tmp_path / 'still.mp4')
+def test_a_video_has_every_frame_and_shows_what_was_painted(tmp_path: Path) -> None:
+    track = still(5)
+    animate(track, tmp_path / 'still.mp4', fps=25)
+    shown = imageio.mimread(tmp_path / 'still.mp4')
+    assert len(shown) == 5
+    painted = Painter(track).paint(4)
+    assert shown[4].shape == painted.shape
+    assert np.abs(shown[4].astype(float) - painted).mean() < 4  # lossy, but the same picture
 
 
 @pytest.mark.parametrize(
