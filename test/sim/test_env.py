@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 import pytest
-from reference import assert_near, assert_same_world
+from reference import assert_near, assert_same_world, trajectory_metrics, World
 from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
@@ -122,6 +122,20 @@ def test_without_lidar_there_is_no_observation_and_the_same_world() -> None:
         assert_same_world(blind.state, env.state)
         assert_same_world(blind.perceived, env.perceived)
         assert not truncated.any() or info['final_observation'] is None
+
+
+def test_metrics_are_those_of_the_trajectory_of_true_states() -> None:
+    env = ShepherdEnv(config(), 3)
+    env.reset(seed=2)
+    states = [env.state]
+    for _ in range(15):
+        env.step(action(env))
+        states.append(env.state)
+    got = env.metrics()
+    for b in range(3):
+        expected = trajectory_metrics([World.of(s.world(b)) for s in states], 1000)
+        for name in METRICS:
+            assert_near(got[name][b].double(), expected[name], 1e-3)
 
 
 # --- the end of an episode ----------------------------------------------------------------------
