@@ -41,7 +41,7 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
         {'config', 'sim', 'controllers', 'policy'},
         {'matplotlib', 'numpy', 'torch'},
     ),
-    'view': ({'config', 'share', 'sim'}, {'PIL', 'matplotlib', 'numpy'}),
+    'view': ({'config', 'share', 'sim'}, {'PIL', 'imageio', 'matplotlib', 'numpy'}),
     'nodes': (
         {'config', 'share', 'topics', 'stack', 'sim', 'controllers', 'policy', 'bags'},
         {'numpy', 'rclpy', 'torch', 'yaml'},
@@ -62,7 +62,7 @@ IMPURE = {
 GLOBAL_TOPICS = {'/clock', '/diagnostics', '/tf'}  # whose names ROS 2 fixes
 LONGEST_FILE, LONGEST_SCRIPT = 300, 40
 ROSDEP = {'PIL': 'python3-pil'}  # where the key of rosdep is not python3-<package>
-NOT_IN_ROSDEP = {'numba', 'torch', 'tyro'}  # installed with pip, as README.md says
+WITH_PIP = {'imageio', 'numba', 'torch', 'tyro'}  # not from rosdep
 PYPI = {'PIL': 'pillow', 'yaml': 'pyyaml'}  # where the distribution has another name
 
 
@@ -316,7 +316,7 @@ def test_manifest_names_what_is_imported(manifest: Any) -> None:
     needed = {depend.name for depend in manifest.exec_depends}
     for package in all_imports('shepherd_ros', 'launch'):
         key = package if is_ros(package) else ROSDEP.get(package, f'python3-{package}')
-        assert key in needed or package in NOT_IN_ROSDEP, f'package.xml has no exec_depend {key}'
+        assert key in needed or package in WITH_PIP, f'package.xml has no exec_depend {key}'
     assert {depend.name for depend in manifest.test_depends} >= {'python3-pytest'}
 
 

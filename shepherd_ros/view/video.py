@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import imageio.v2 as imageio
 import numpy as np
@@ -47,6 +48,7 @@ def write_gif(path: Path, frames: Frames, samples: list[np.ndarray], fps: float)
 
 def write_mp4(path: Path, frames: Frames, fps: float) -> None:
     """Write a video that browsers play; frames have even sides."""
+    writer: Any
     with imageio.get_writer(path, fps=fps, codec='libx264', macro_block_size=2) as writer:
         for frame in frames:
             writer.append_data(frame)
