@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-import math
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from shepherd_ros.nodes.base import ERROR, nanoseconds, OK, ShepherdNode, WARN
 from shepherd_ros.nodes.commands import CommandBuffer
 from shepherd_ros.nodes.episode import Episode
-from shepherd_ros.nodes.messages import velocity_of
+from shepherd_ros.nodes.messages import LARGEST_FLOAT32, velocity_of
 
 THROTTLE = 5.0  # [s] between two warnings of one kind
 
@@ -91,7 +90,7 @@ class CommandGate:
                     return
                 twist = message.twist
             velocity = velocity_of(twist)
-            if not all(map(math.isfinite, velocity)):
+            if not all(abs(part) <= LARGEST_FLOAT32 for part in velocity):
                 self._refuse(
                     'not_finite',
                     f'shepherd_{shepherd}: command {velocity} m/s is not finite: counts as zero',

@@ -10,10 +10,11 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock as ClockMessage
+from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes.base import OK, ShepherdNode, stamp, WARN
 from shepherd_ros.nodes.command_gate import CommandGate
 from shepherd_ros.nodes.episode import Episode
-from shepherd_ros.nodes.flock_services import FlockServices
+from shepherd_ros.nodes.flock_services import FlockServices, LARGEST_SEED
 from shepherd_ros.nodes.markers import world_markers
 from shepherd_ros.nodes.messages import encode_poses, goal_message
 from shepherd_ros.nodes.parameters import declare, declare_config
@@ -31,6 +32,7 @@ import torch
 from torch import Tensor
 
 MODES = ('lockstep', 'realtime')
+LOWEST_RATE = 0.001  # [1/s]
 MARKER_PERIOD = 0.05  # [s] wall time between two pictures
 WATCH_PERIOD = 0.05  # [s] wall time between two looks at who is silent
 PAUSED_RESEND = 1.0  # [s] wall time after which a paused world shows its state again
@@ -55,6 +57,14 @@ def declare_world(node: ShepherdNode) -> WorldConfig:
     return declare_config(node, replace(world, spawn=start, flock=models[flock]))
 
 
+def check_rate(rate: float) -> None:
+    """Refuse a rate at which no step would be made in a quarter of an hour."""
+    if 0 < rate < LOWEST_RATE:
+        raise ConfigError(
+            f'rate is {rate}: expected 0, or at least {LOWEST_RATE} steps per second'
+        )
+
+
 class FlockSim(ShepherdNode):
     """
     Runs one episode after another.
@@ -68,7 +78,10 @@ class FlockSim(ShepherdNode):
         """Create the node and start the first episode."""
         super().__init__('flock_sim', **kwargs)
         self.world = declare_world(self)
-        self.seed: int = self.option('seed', 0, 'seed of the first episode; the next has seed + 1')
+        self.seed: int = self.option(
+            'seed', 0, 'seed of the first episode; the next has seed + 1',
+            low=-LARGEST_SEED, high=LARGEST_SEED,
+        )  # fmt: skip
         self.episodes: int = self.option('episodes', 0, 'episodes to run; 0: without end', low=0)
         self.mode: str = self.option('mode', 'lockstep', 'how the world advances', choices=MODES)
         self.rate: float = declare(
@@ -76,6 +89,7 @@ class FlockSim(ShepherdNode):
             {'doc': 'steps per second of wall time in realtime; 0: 1/dt', 'low': 0.0,
              'high': 10_000.0}, read_only=False,
         )  # fmt: skip
+        check_rate(self.rate)
         self.resend: float = self.option(
             'resend_period', 0.25, 'lockstep: show an unanswered state again after [s]', low=0.01
         )
@@ -269,6 +283,10 @@ class FlockSim(ShepherdNode):
         """Take a new rate; every other parameter is read-only."""
         for parameter in parameters:
             if parameter.name == 'rate':
+                try:
+                    check_rate(parameter.value)
+                except ConfigError as error:
+                    return SetParametersResult(successful=False, reason=str(error))
                 self.rate = parameter.value
                 if self.ticker is not None:
                     self.ticker.timer_period_ns = round(self.period * 1e9)

@@ -15,10 +15,13 @@ from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import parameter_value_to_python
 from shepherd_ros.config import ConfigError
+from shepherd_ros.nodes.messages import LARGEST_FLOAT32
 from std_srvs.srv import SetBool
 
 if TYPE_CHECKING:
     from shepherd_ros.nodes.flock_node import FlockSim
+
+LARGEST_SEED = 2**62  # episodes count up from there in 64 bits
 
 
 class FlockServices:
@@ -53,6 +56,8 @@ class FlockServices:
     def reset(self, given: Mapping[str, Any]) -> str:
         """Start a new episode: argument seed (integer), else the next seed."""
         (seed,) = _take(given, {'seed': int}, required=False)
+        if seed is not None and abs(seed) > LARGEST_SEED:
+            raise ConfigError(f'seed is {seed}: expected at most {LARGEST_SEED}, also negative')
         self.node.begin_episode(seed)
         return f'episode {self.node.number}, seed {self.node.episode.seed}'
 
@@ -68,6 +73,8 @@ class FlockServices:
     def move_goal(self, given: Mapping[str, Any]) -> str:
         """Move the goal to x, y [m] in the world frame."""
         x, y = _take(given, {'x': float, 'y': float}, required=True)
+        if max(abs(x), abs(y)) > LARGEST_FLOAT32:
+            raise ConfigError(f'goal is {x:g}, {y:g} m: expected numbers that float32 can hold')
         self.node.move_goal(x, y)
         return f'goal moves to {x:g}, {y:g} m'
 

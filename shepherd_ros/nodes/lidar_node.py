@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes.base import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.nodes.episode import Episode
 from shepherd_ros.nodes.listener import Listener
@@ -28,6 +29,11 @@ class LidarNode(ShepherdNode):
         super().__init__('lidar', **kwargs)
         self.config = declare_config(self, LidarConfig())
         self.shepherd_ids: list[int] = self.option('shepherd_ids', [0], 'shepherds that carry it')
+        if min(self.shepherd_ids) < 0 or len(set(self.shepherd_ids)) < len(self.shepherd_ids):
+            raise ConfigError(
+                f'shepherd_ids is {self.shepherd_ids}: expected each shepherd once, counted '
+                'from 0, such as [0, 1, 2]'
+            )
         self.scan_frame: str = self.option(
             'scan_frame', 'shepherd_{h}', 'frame of the scans, {h} is the index of the shepherd'
         )
@@ -61,7 +67,7 @@ class LidarNode(ShepherdNode):
         ranges = scan(seen, self.config, torch.tensor(self.present))
         draw = self.markers.get_subscription_count() and self.wall() - self.drawn > MARKER_PERIOD
         for row, h in zip(ranges, self.present, strict=True):
-            frame = self.scan_frame.format(h=h)
+            frame = self.scan_frame.replace('{h}', str(h))
             for output, channel in zip(self.outputs[h], row, strict=True):
                 output.publish(
                     scan_message(ns, frame, channel, self.config.range_max, episode.world.dt)

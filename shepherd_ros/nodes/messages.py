@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 _LITTLE_ENDIAN_CDR = b'\x00\x01\x00\x00'
+LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
 
 
 def encode_poses(ns: int, frame_id: str, position: Tensor, heading: Tensor) -> bytes:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
-from shepherd_ros.config import checked, Config
+from shepherd_ros.config import checked, Config, ConfigError
 
 C = TypeVar('C', bound=Config)
 _LARGEST_INT = 2**62
@@ -43,12 +43,27 @@ def given(node: Node, name: str) -> Any:
     return list(parameter.value) if isinstance(parameter.value, array) else parameter.value
 
 
+def _listed(name: str, value: Any, default: Any) -> Any:
+    """Return the value; ConfigError if it is empty or a list of another type than the default."""
+    if value is None:  # what rcl makes of []
+        raise ConfigError(f'{name} is empty: expected a value, such as {default!r}')
+    if isinstance(value, list) and isinstance(default, list):
+        kind = type(default[0])
+        if not all(type(item) is kind for item in value):
+            raise ConfigError(
+                f'{name} is {value!r}: expected a list of {kind.__name__}, such as {default!r}'
+            )
+    return value
+
+
 def declare(
     node: Node, name: str, default: Any, option: Mapping[str, Any], read_only: bool = True
 ) -> Any:
     """Declare one parameter and return its value; ConfigError names a bad one and the fix."""
-    value = given(node, name)
-    value = default if value is None else checked(name, value, default, option)
+    if name not in node._parameter_overrides:
+        value = default
+    else:
+        value = checked(name, _listed(name, given(node, name), default), default, option)
     described = descriptor(default, option, read_only)
     node.declare_parameter(name, value, described, ignore_override=True)
     return value
