@@ -1,0 +1,158 @@
+"""Realtime: a wall clock moves the world, and a watchdog stops shepherds that fall silent."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from geometry_msgs.msg import Twist, TwistStamped
+from nodes.process import Graph, Track, twist
+import pytest
+import torch
+
+SMALL: dict[str, Any] = {'mode': 'realtime', 'n_sheep': 5, 'n_shepherds': 2}
+
+
+def time_of(graph: Graph, track: Track, steps: int) -> float:
+    """Return the wall time [s] that some steps take from the next one on."""
+    begun = len(track.stamps)
+    graph.until(lambda: len(track.stamps) > begun, 'a step')
+    first, start = len(track.stamps), time.monotonic()
+    graph.until(lambda: len(track.stamps) >= first + steps, f'{steps} steps')
+    return time.monotonic() - start
+
+
+def test_the_world_keeps_its_rate_without_any_controller_and_takes_a_new_one(
+    graph: Graph,
+) -> None:
+    track = graph.track()
+    graph.host('flock_sim', rate=50.0, **SMALL)
+    assert 0.9 < time_of(graph, track, 50) < 3.0  # 1 s
+    assert graph.call_named('flock_sim/set_parameters', rate=200.0) == [(True, '')]
+    assert 0.45 < time_of(graph, track, 100) < 1.5  # 0.5 s
+    assert graph.call_named('flock_sim/set_parameters', rate=10.0) == [(True, '')]
+    assert 0.8 < time_of(graph, track, 10) < 3.0  # 1 s
+
+
+def test_a_rate_of_zero_is_as_fast_as_the_simulated_clock(graph: Graph) -> None:
+    track = graph.track()
+    sim = graph.host('flock_sim', dt=0.02, **SMALL)
+    assert sim.period == 0.02
+    assert 0.9 < time_of(graph, track, 50) < 3.0
+    assert {b - a for a, b in zip(track.stamps, track.stamps[1:], strict=False)} == {20_000_000}
+
+
+def test_a_rate_given_as_an_integer_works(graph: Graph) -> None:
+    track = graph.track()
+    sim = graph.host('flock_sim', rate=40, **SMALL)
+    assert sim.period == 0.025
+    assert 0.45 < time_of(graph, track, 20) < 2.0
+    graph.call_named('flock_sim/set_parameters', rate=80.0)
+    assert sim.period == 0.0125
+
+
+@pytest.mark.parametrize(
+    ('given', 'pattern'),
+    [
+        ({'rate': float('nan')}, 'range'),
+        ({'rate': -1.0}, 'range'),
+        ({'rate': 1e9}, 'range'),
+        ({'rate': 1e-300}, 'rate is 1e-300: expected 0, or at least'),
+        ({'rate': 'fast'}, "expected 'Type.DOUBLE' got 'Type.STRING'"),
+        ({'rate': 20}, "expected 'Type.DOUBLE' got 'Type.INTEGER'"),
+    ],
+)
+def test_a_rate_that_cannot_be_is_refused_and_the_world_goes_on(
+    graph: Graph, given: dict[str, Any], pattern: str
+) -> None:
+    track = graph.track()
+    sim = graph.host('flock_sim', rate=50.0, **SMALL)
+    ((success, reason),) = graph.call_named('flock_sim/set_parameters', **given)
+    assert not success
+    assert pattern in reason
+    assert sim.rate == 50.0
+    assert 0.15 < time_of(graph, track, 10) < 2.0
+
+
+@pytest.mark.parametrize(('watchdog_steps', 'moves'), [(3, 4), (0, 1)])
+def test_the_watchdog_stops_a_shepherd_that_falls_silent(
+    graph: Graph, watchdog_steps: int, moves: int
+) -> None:
+    track = graph.track()
+    graph.host('flock_sim', rate=20.0, watchdog_steps=watchdog_steps, **SMALL)
+    publisher = graph.publisher('shepherd_0/cmd_vel', TwistStamped)
+    graph.until_status('flock_sim: commands', 'stopped by the watchdog: shepherd_0, shepherd_1')
+    before = len(track.stamps)
+    graph.until(lambda: len(track.stamps) > before, 'a new state')
+    answered = track.last
+    publisher.publish(twist(answered, 0.8, 0.0))
+    graph.until(lambda: len(track.stamps) > before + watchdog_steps + 5, 'steps after that')
+    way = [
+        (track.shepherds(b) - track.shepherds(a))[0].tolist()
+        for a, b in zip(track.stamps, track.stamps[1:], strict=False)
+    ]
+    moved = [k for k, step in enumerate(way) if step != [0.0, 0.0]]
+    assert len(moved) == moves
+    assert moved == list(range(moved[0], moved[0] + moves))
+    # at once, or a step later if that was under way
+    assert track.stamps[moved[0]] - answered in (0, 500_000_000)
+    for k in moved:
+        assert torch.allclose(torch.tensor(way[k]), torch.tensor([0.4, 0.0]), atol=1e-5)
+    status = graph.until_status('flock_sim: commands', 'stopped by the watchdog: shepherd_0')
+    assert status.level == status.ERROR
+
+
+def test_a_late_command_within_the_watchdogs_steps_counts_and_an_older_one_does_not(
+    graph: Graph,
+) -> None:
+    track = graph.track()
+    sim = graph.host('flock_sim', rate=10.0, watchdog_steps=3, **SMALL)
+    publisher = graph.publisher('shepherd_1/cmd_vel', TwistStamped)
+    graph.until(lambda: len(track.stamps) > 6, 'a few steps')
+    publisher.publish(twist(track.stamps[-6], 0.5, 0.0))
+    graph.until(lambda: sim.gate.counts['wrong_stamp'] == 1, 'the old command is refused')
+    assert not sim.gate.commands.velocity.any()
+    publisher.publish(twist(track.stamps[-2], 0.5, 0.0))
+    graph.until(lambda: sim.gate.commands.velocity.any(), 'the late command is taken')
+    assert sim.gate.counts['wrong_stamp'] == 1
+
+
+def test_a_controller_keeps_up_and_none_of_its_commands_is_refused(graph: Graph) -> None:
+    track = graph.track()
+    graph.start('flock_sim', rate=20.0, **SMALL)
+    graph.start('strombom')
+    graph.until_status('flock_sim: commands', 'every shepherd answers')
+    first = track.last
+    graph.until(lambda: track.last > first + 10 * 500_000_000, 'ten more steps')
+    assert (track.shepherds(track.last) != track.shepherds(first)).any(dim=-1).all()
+    status = graph.until_status('flock_sim: commands', 'every shepherd answers')
+    values = {value.key: value.value for value in status.values}
+    assert (values['not_finite'], values['wrong_frame']) == ('0', '0')
+
+
+@pytest.mark.parametrize('mode', ['lockstep', 'realtime'])
+def test_plain_twists_drive_the_world_if_both_sides_say_so(graph: Graph, mode: str) -> None:
+    track = graph.track()
+    parameters = SMALL | {'mode': mode, 'rate': 20.0, 'stamped': False}
+    sim = graph.host('flock_sim', **parameters)
+    graph.host('strombom', stamped=False)
+    graph.until(lambda: len(track.stamps) > 10, 'ten steps')
+    names = dict(graph.node.get_topic_names_and_types())
+    for h in range(2):
+        assert names[f'/shepherd_{h}/cmd_vel'] == ['geometry_msgs/msg/Twist']
+    first, last = (track.shepherds(track.stamps[k]) for k in (0, -1))
+    assert (first != last).any(dim=-1).all()
+    assert not sim.gate.counts
+
+
+def test_a_plain_twist_of_anybody_is_taken_for_the_present_state(graph: Graph) -> None:
+    track = graph.track()
+    graph.host('flock_sim', mode='lockstep', n_sheep=5, n_shepherds=1, stamped=False)
+    publisher = graph.publisher('shepherd_0/cmd_vel', Twist)
+    graph.until(lambda: track.stamps, 'the first state')
+    command = Twist()
+    command.linear.x = 1.0
+    publisher.publish(command)
+    graph.until(lambda: len(track.stamps) == 2, 'one step')
+    way = track.shepherds(track.stamps[1]) - track.shepherds(track.stamps[0])
+    assert torch.allclose(way, torch.tensor([[0.5, 0.0]]), atol=1e-5)

@@ -1,0 +1,291 @@
+"""The services of flock_sim, and goals that are moved by topic."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import re
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from nodes.process import assert_same_states, Graph, LATCHED, nanoseconds, Track
+import pytest
+from shepherd_ros.controllers import make_controller
+from shepherd_ros.nodes.episode import Episode
+from shepherd_ros.sim.spawn import spawn
+from shepherd_ros.sim.transition import step
+from shepherd_ros.sim.world import WorldConfig
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+import torch
+
+SMALL: dict[str, Any] = {'n_sheep': 10, 'n_shepherds': 2}
+
+
+@pytest.fixture
+def sim(graph: Graph) -> Any:
+    """Run a small world with shepherds that answer at once and stand still."""
+    node = graph.host('flock_sim', **SMALL)
+    graph.host('idle')
+    graph.until(lambda: int(node.state.step) > 2, 'the world moves')
+    return node
+
+
+def pause(graph: Graph, on: bool) -> str:
+    """Pause the world or let it go on; return what it answers."""
+    answer = graph.call('flock_sim/pause', SetBool, SetBool.Request(data=on))
+    assert answer.success
+    return answer.message
+
+
+def pose_of(x: float, y: float, frame_id: str = 'map') -> PoseStamped:
+    """Return a goal as RViz publishes it."""
+    message = PoseStamped()
+    message.header.frame_id = frame_id
+    message.pose.position.x, message.pose.position.y = x, y
+    message.pose.orientation.w = 1.0
+    return message
+
+
+# --- reset --------------------------------------------------------------------------------------
+
+
+def test_a_reset_without_seed_starts_the_next_episode(graph: Graph, sim: Any) -> None:
+    first = sim.episode
+    assert graph.call_named('flock_sim/reset') == [(True, 'episode 1, seed 1')]
+    assert (sim.episode.number, sim.episode.seed) == (1, 1)
+    assert sim.episode.start_ns > first.start_ns
+    graph.until(lambda: int(sim.state.step) > 2, 'the new episode moves')
+
+
+def test_a_reset_with_a_seed_starts_that_episode_and_the_next_has_the_seed_after_it(
+    graph: Graph, sim: Any
+) -> None:
+    pause(graph, True)
+    track = graph.track()
+    told = graph.collect('episode', String, LATCHED)
+    assert graph.call_named('flock_sim/reset', seed=41) == [(True, 'episode 1, seed 41')]
+    graph.until(lambda: track.stamps and sim.now_ns in track.stamps, 'the new first state')
+    world = WorldConfig(**SMALL)
+    fresh = spawn(world, torch.tensor(41))
+    assert torch.equal(track.sheep(sim.now_ns), fresh.sheep)
+    assert torch.equal(track.shepherds(sim.now_ns), fresh.shepherds)
+    graph.until(lambda: told and Episode.from_json(told[-1].data).number == 1, 'its description')
+    assert Episode.from_json(told[-1].data) == sim.episode
+    assert (sim.episode.seed, sim.episode.world) == (41, world)
+    assert graph.call_named('flock_sim/reset') == [(True, 'episode 2, seed 42')]
+    assert graph.call_named('flock_sim/reset', seed=-5) == [(True, 'episode 3, seed -5')]
+
+
+def test_a_late_subscriber_is_told_the_running_episode_and_the_goal(
+    graph: Graph, sim: Any
+) -> None:
+    graph.call_named('flock_sim/reset', seed=9)
+    told = graph.collect('episode', String, LATCHED)
+    goals = graph.collect('goal', PoseStamped, LATCHED)
+    graph.until(lambda: told and goals, 'episode and goal')
+    assert [Episode.from_json(message.data).seed for message in told] == [9]
+    assert nanoseconds(goals[0].header.stamp) == sim.episode.start_ns
+
+
+# --- pause and step -----------------------------------------------------------------------------
+
+
+def test_a_paused_world_stands_until_it_may_go_on(graph: Graph, sim: Any) -> None:
+    track = graph.track()
+    assert pause(graph, True) == 'paused'
+    graph.until(lambda: sim.gate.complete, 'the answers to the state that stands')
+    now = sim.now_ns
+    status = graph.until_status('flock_sim: episode', 'paused')
+    assert status.level == status.WARN
+    graph.until(lambda: track.shown.count(now) > 1, 'the state is shown again')
+    assert sim.now_ns == now
+    assert pause(graph, False) == 'running'
+    graph.until(lambda: sim.now_ns > now + 3 * sim.dt_ns, 'it goes on')
+    status = graph.until_status('flock_sim: episode', 'running')
+    assert status.level == status.OK
+
+
+def test_step_makes_so_many_steps_and_no_more(graph: Graph, sim: Any) -> None:
+    pause(graph, True)
+    for arguments, n in (({'n': 3}, 3), ({}, 1), ({'n': 1}, 1), ({'n': 20}, 20)):
+        graph.until(lambda: sim.gate.complete, 'the answers to the state that stands')
+        before = sim.now_ns
+        answer = graph.call_named('flock_sim/step', **arguments)
+        assert answer == [(True, f'{n} steps, then paused')]
+        graph.until(
+            lambda goal=before + n * sim.dt_ns: sim.now_ns >= goal and sim.gate.complete,
+            f'{n} steps',
+        )
+        graph.idle(0.05)
+        assert sim.now_ns == before + n * sim.dt_ns
+
+
+def test_step_pauses_a_running_world(graph: Graph, sim: Any) -> None:
+    graph.call_named('flock_sim/step', n=2)
+    graph.until(lambda: sim.steps_left == 0 and sim.gate.complete, 'two steps')
+    assert sim.paused
+    now = sim.now_ns
+    graph.idle(0.1)
+    assert sim.now_ns == now
+
+
+def test_a_world_in_realtime_can_be_paused_and_stepped_too(graph: Graph) -> None:
+    sim = graph.host('flock_sim', mode='realtime', rate=100.0, **SMALL)
+    graph.until(lambda: int(sim.state.step) > 3, 'steps')
+    pause(graph, True)
+    now = sim.now_ns
+    graph.idle(0.1)
+    assert sim.now_ns == now
+    graph.call_named('flock_sim/step', n=5)
+    graph.until(lambda: sim.steps_left == 0, 'five steps')
+    graph.idle(0.1)
+    assert sim.now_ns == now + 5 * sim.dt_ns
+    pause(graph, False)
+    graph.until(lambda: sim.now_ns > now + 10 * sim.dt_ns, 'it goes on')
+
+
+# --- goal ---------------------------------------------------------------------------------------
+
+
+def test_move_goal_moves_the_goal_of_a_paused_world_at_once(graph: Graph, sim: Any) -> None:
+    pause(graph, True)
+    goals = graph.collect('goal', PoseStamped, LATCHED)
+    answer = graph.call_named('flock_sim/move_goal', x=3.5, y=-4)
+    assert answer == [(True, 'goal moves to 3.5, -4 m')] * 2
+    assert sim.state.goal.tolist() == [3.5, -4.0]
+    graph.until(lambda: goals and goals[-1].pose.position.x == 3.5, 'the goal is told')
+    assert nanoseconds(goals[-1].header.stamp) == sim.now_ns
+    assert goals[-1].header.frame_id == 'map'
+
+
+def goal_moves_with_the_next_state(graph: Graph, sim: Any, move: Any) -> None:
+    """Assert that a goal moved between two states is told with the second."""
+    goals = graph.collect('goal', PoseStamped, LATCHED)
+    seen: list[tuple[int, list[float]]] = []
+    original = sim.publish_state
+
+    def publish_state(again: bool = False) -> None:
+        seen.append((sim.now_ns, sim.state.goal.tolist()))
+        original(again)
+
+    sim.publish_state = publish_state
+    move()
+    graph.until(lambda: seen and seen[-1][1] == [7.0, 8.0], 'a state with the new goal')
+    graph.until(lambda: goals and goals[-1].pose.position.x == 7.0, 'the goal is told')
+    first = next(ns for ns, goal in seen if goal == [7.0, 8.0])
+    assert nanoseconds(goals[-1].header.stamp) == first
+
+
+def test_goal_pose_moves_the_goal_in_the_next_state(graph: Graph, sim: Any) -> None:
+    publisher = graph.publisher('goal_pose', PoseStamped)
+    goal_moves_with_the_next_state(graph, sim, lambda: publisher.publish(pose_of(7.0, 8.0)))
+
+
+def test_move_goal_moves_the_goal_in_the_next_state(graph: Graph, sim: Any) -> None:
+    goal_moves_with_the_next_state(
+        graph, sim, lambda: graph.call_named('flock_sim/move_goal', x=7.0, y=8.0)
+    )
+
+
+def test_a_reset_puts_the_goal_back_to_where_episodes_have_it(graph: Graph, sim: Any) -> None:
+    graph.call_named('flock_sim/move_goal', x=7.0, y=8.0)
+    graph.call_named('flock_sim/reset')
+    assert sim.state.goal.tolist() == [0.0, 0.0]
+
+
+def run_with_a_moving_goal(
+    track: Track, goals: list[PoseStamped], controller: str, world: WorldConfig
+) -> list[Any]:
+    """Return the states of the core when goals move at the stamps at which they were told."""
+    moves = {nanoseconds(m.header.stamp): m.pose.position for m in goals}
+    state = spawn(world, torch.tensor(0))
+    law = make_controller(controller, world)
+    memory = law.begin(state)
+    states = []
+    for ns in track.stamps:
+        if ns in moves:
+            state = replace(state, goal=torch.tensor([moves[ns].x, moves[ns].y]))
+        states.append(state)
+        command, memory = law.act(state, memory)
+        state = step(state, command, world)
+    return states
+
+
+@pytest.mark.parametrize('controller', ['strombom', 'pierson'])
+def test_a_controller_sees_a_moved_goal_from_the_very_state_with_which_it_was_told(
+    graph: Graph, controller: str
+) -> None:
+    track = graph.track()
+    goals = graph.collect('goal', PoseStamped, LATCHED)
+    graph.start('flock_sim', n_sheep=10, n_shepherds=2, episode_steps=60, episodes=1)
+    publisher = graph.publisher('goal_pose', PoseStamped)
+    graph.until(lambda: track.stamps and goals, 'the first state and goal')
+    graph.start(controller)
+    for k in range(4):
+        graph.until(lambda k=k: len(track.stamps) > 10 * k + 2, 'some steps')
+        publisher.publish(pose_of(5.0 * k, -8.0))
+    graph.until(lambda: len(track.stamps) == 61, 'the whole episode')
+    assert len(goals) == 5
+    world = WorldConfig(n_sheep=10, n_shepherds=2, episode_steps=60)
+    assert_same_states(track, run_with_a_moving_goal(track, goals, controller, world))
+
+
+@pytest.mark.parametrize(
+    ('goal', 'pattern'),
+    [
+        (pose_of(1.0, 2.0, 'odom'), "goal_pose is in frame 'odom', expected 'map': ignored"),
+        (pose_of(1.0, 2.0, ''), "goal_pose is in frame '', expected 'map'"),
+        (pose_of(float('nan'), 2.0), 'goal_pose is nan, 2.0: expected finite numbers, ignored'),
+        (pose_of(1.0, float('inf')), 'goal_pose is 1.0, inf: expected finite numbers, ignored'),
+        (pose_of(1e39, 1.0), 'goal_pose is 1e.39, 1.0: expected finite numbers, ignored'),
+    ],
+    ids=['unknown frame', 'no frame', 'nan', 'infinite', 'too large for float32'],
+)
+def test_a_goal_pose_that_cannot_be_used_is_refused_with_a_warning(
+    graph: Graph, sim: Any, goal: PoseStamped, pattern: str
+) -> None:
+    graph.listen_to_logs()
+    publisher = graph.publisher('goal_pose', PoseStamped)
+    publisher.publish(goal)
+    graph.until(lambda: graph.warnings(pattern), 'a warning')
+    now = sim.now_ns
+    graph.until(lambda: sim.now_ns > now + 2 * sim.dt_ns, 'the world goes on')
+    assert sim.state.goal.tolist() == [0.0, 0.0]
+
+
+# --- arguments that cannot be -------------------------------------------------------------------
+
+BAD = {
+    'reset with text': ('reset', {'seed': 'seven'}, "reset: argument seed is 'seven': .* int"),
+    'reset with a float': ('reset', {'seed': 1.5}, 'reset: argument seed is 1.5: expected int'),
+    'reset with a truth': ('reset', {'seed': True}, 'argument seed is True: expected int'),
+    'reset with a huge seed': ('reset', {'seed': 2**63 - 1}, 'seed is 9223.*: expected at most'),
+    'reset with another name': ('reset', {'sead': 1}, "reset: argument 'sead': expected seed"),
+    'no steps': ('step', {'n': 0}, 'step: n is 0: expected at least 1'),
+    'negative steps': ('step', {'n': -2}, 'step: n is -2: expected at least 1'),
+    'half a step': ('step', {'n': 0.5}, 'step: argument n is 0.5: expected int'),
+    'steps of another name': ('step', {'steps': 3}, "step: argument 'steps': expected n"),
+    'no goal': ('move_goal', {}, 'move_goal: argument x is None: expected float'),
+    'half a goal': ('move_goal', {'x': 1.0}, 'move_goal: argument y is None: expected float'),
+    'goal of text': ('move_goal', {'x': 'a', 'y': 1.0}, "argument x is 'a': expected float"),
+    'nan goal': ('move_goal', {'x': float('nan'), 'y': 0.0}, 'x is nan: expected a finite number'),
+    'infinite goal': ('move_goal', {'x': 0.0, 'y': float('inf')}, 'y is inf: .* finite number'),
+    'goal beyond float32': ('move_goal', {'x': 1e39, 'y': 0.0}, 'goal is 1e.39, 0 m: expected'),
+    'three axes': ('move_goal', {'x': 0.0, 'y': 0.0, 'z': 0.0}, "'z': expected x, y"),
+}
+
+
+@pytest.mark.parametrize(('service', 'arguments', 'pattern'), BAD.values(), ids=list(BAD))
+def test_bad_arguments_are_refused_with_value_and_expectation_and_change_nothing(
+    graph: Graph, sim: Any, service: str, arguments: dict[str, Any], pattern: str
+) -> None:
+    results = graph.call_named(f'flock_sim/{service}', **arguments)
+    assert len(results) == max(len(arguments), 1)
+    for success, reason in results:
+        assert not success
+        assert re.search(pattern, reason), reason
+    assert not sim.paused
+    assert sim.number == 0
+    assert sim.state.goal.tolist() == [0.0, 0.0]
+    now = sim.now_ns
+    graph.until(lambda: sim.now_ns > now, 'the world goes on')
