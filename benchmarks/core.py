@@ -19,20 +19,23 @@ import torch
 def rate(work: Callable[[], object], worlds: int, seconds: float) -> float:
     """Return worlds per second of wall time: the best of three runs, after a warm-up."""
     work()
+    wait = torch.cuda.synchronize if torch.cuda.is_available() else lambda: None
+    wait()
     best = 0.0
     for _ in range(3):
         count, start = 0, time.perf_counter()
         while time.perf_counter() - start < seconds / 3:
             work()
             count += 1
+        wait()
         best = max(best, count * worlds / (time.perf_counter() - start))
     return best
 
 
-def measure(worlds: int, seconds: float) -> dict[str, float]:
+def measure(worlds: int, seconds: float, device: str) -> dict[str, float]:
     """Return the rates of each part for a batch, with all sheep fleeing from three shepherds."""
     config = EnvConfig()
-    env = ShepherdEnv(config, worlds)
+    env = ShepherdEnv(config, worlds, device=device)
     env.reset(0)
     controllers = {name: make_controller(name, config.world) for name in ('strombom', 'pierson')}
     memories = {name: c.begin(env.perceived) for name, c in controllers.items()}
@@ -57,6 +60,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seconds', type=float, default=1.5, help='per number')
     parser.add_argument('--threads', type=int, default=1)
+    parser.add_argument('--worlds', type=int, nargs='+', default=[1, 64, 512])
+    parser.add_argument('--device', default='cpu', help='cpu or cuda (plain form)')
     parser.add_argument('--json', default='')
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
@@ -64,8 +69,8 @@ def main() -> None:
     for form in ('compiled', 'plain'):
         kernels.AVAILABLE = form == 'compiled'
         rows += [
-            {'form': form, 'worlds': worlds, **measure(worlds, options.seconds)}
-            for worlds in (1, 64, 512)
+            {'form': form, 'worlds': worlds, **measure(worlds, options.seconds, options.device)}
+            for worlds in options.worlds
         ]
     names = list(rows[0])[2:]
     print('100 sheep, 3 shepherds, lidar of 3 x 3 x 512 rays; world steps per second')
