@@ -215,8 +215,8 @@ def test_topic_names_are_relative() -> None:
 
 
 def test_files_are_short() -> None:
-    limits = {path: LONGEST_FILE for path in MODULES}
-    limits |= {path: LONGEST_SCRIPT for path in (ROOT / 'scripts').glob('*.py')}
+    limits = dict.fromkeys(MODULES, LONGEST_FILE)
+    limits |= dict.fromkeys((ROOT / 'scripts').glob('*.py'), LONGEST_SCRIPT)
     lengths = {path: path.read_text(encoding='utf-8').count('\n') for path in limits}
     long = {short(path): lengths[path] for path in limits if lengths[path] > limits[path]}
     assert long == {}
