@@ -79,7 +79,7 @@ setup(
     maintainer_email=MANIFEST.find('maintainer').get('email'),
     description=' '.join(MANIFEST.findtext('description').split()),
     license='Apache-2.0',
-    python_requires='>=3.10',
+    python_requires='>=3.11',
     entry_points={
         'console_scripts': [
             'shepherd = shepherd_ros.cli:main',

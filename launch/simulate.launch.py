@@ -11,6 +11,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from shepherd_ros.share import share_file
 from shepherd_ros.stack import herding_stack, LAUNCH_ARGUMENTS, launch_values
+from shepherd_ros.topics import renamed_topics
 
 
 def nodes(context: LaunchContext) -> list[Action]:
@@ -33,7 +34,10 @@ def nodes(context: LaunchContext) -> list[Action]:
     ]
     if values.rviz:
         view = ['-d', str(share_file('config', 'shepherd.rviz'))]
-        actions.append(Node(package='rviz2', executable='rviz2', arguments=view))
+        renames = renamed_topics(values.namespace, values.n_shepherds)
+        actions.append(
+            Node(package='rviz2', executable='rviz2', arguments=view, remappings=renames)
+        )
     return actions
 
 

@@ -10,18 +10,19 @@ PACKAGE = 'shepherd_ros'
 
 def share_file(*parts: str) -> Path:
     """
-    Return the path of a shared file: in the ament index, beside this Python, or in the checkout.
+    Return the path of a shared file: in the checkout, the ament index, or beside this Python.
 
     Raises FileNotFoundError that names every place looked at.
     """
-    places = [Path(__file__).resolve().parents[1]]
+    checkout = Path(__file__).resolve().parents[1]
+    places = [checkout] if (checkout / 'package.xml').exists() else []
     try:
         from ament_index_python.packages import get_package_share_directory
 
-        places.insert(0, Path(get_package_share_directory(PACKAGE)))
+        places.append(Path(get_package_share_directory(PACKAGE)))
     except (ImportError, LookupError, OSError):  # no ROS, no such package, no AMENT_PREFIX_PATH
         pass
-    places.insert(-1, Path(sys.prefix) / 'share' / PACKAGE)
+    places.append(Path(sys.prefix) / 'share' / PACKAGE)
     for place in places:
         path = place.joinpath(*parts)
         if path.exists():

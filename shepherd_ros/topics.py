@@ -66,3 +66,16 @@ def topic_table() -> str:
         )
         rows.append('| ' + ' | '.join(cells) + ' |')
     return '\n'.join(rows) + '\n'
+
+
+def renamed_topics(namespace: str, n_shepherds: int) -> list[tuple[str, str]]:
+    """Return remaps for a viewer that has the topics of no namespace, to see those of one."""
+    if not namespace.strip('/'):
+        return []
+    names = [
+        name.format(h=h)
+        for name in contract()[0]
+        if not name.startswith('/')
+        for h in range(n_shepherds if '{h}' in name else 1)
+    ]
+    return [(f'/{name}', f'/{namespace.strip("/")}/{name}') for name in names]

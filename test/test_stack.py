@@ -9,6 +9,7 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes.defaults import parameter_file, WITH_FILE
 from shepherd_ros.share import share_file
 from shepherd_ros.stack import herding_stack, LAUNCH_ARGUMENTS, launch_values
+from shepherd_ros.topics import renamed_topics
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -37,6 +38,15 @@ def test_every_parameter_that_the_launch_file_sets_is_one_of_flock_sim() -> None
     values = launch_values(DEFAULTS)
     assert set(values.flock_sim) <= set(known['/**/flock_sim']['ros__parameters'])
     assert values.flock_sim.items() <= known['/**/flock_sim']['ros__parameters'].items()
+
+
+def test_a_viewer_of_a_stack_in_a_namespace_gets_its_topics() -> None:
+    renames = dict(renamed_topics('/farm', 2))
+    assert renames['/markers'] == '/farm/markers'
+    assert renames['/shepherd_1/scan/goal'] == '/farm/shepherd_1/scan/goal'
+    assert '/shepherd_2/scan/goal' not in renames
+    assert '/clock' not in renames
+    assert renamed_topics('', 2) == []
 
 
 @pytest.mark.parametrize(
