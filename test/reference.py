@@ -1,5 +1,5 @@
 """
-The laws a second time: slow, in float64, one world and one agent at a time.
+The laws a second time: slow, in float64, one world and one animal at a time.
 
 Written from the formulas of the design document, not from the package, so that the two can be held
 against each other. Random draws are inputs of the laws and are taken from the package. Below the
@@ -555,7 +555,7 @@ def state_of(
 
 
 def padded(state: WorldState, sheep: int = 0, shepherds: int = 0) -> WorldState:
-    """Return a single world with absent agents after the present ones, who stand on the goal."""
+    """Return a single world with absent sheep and shepherds after the present, who stand on the goal."""
 
     def add(points: Tensor, count: int, value: Tensor) -> Tensor:
         return torch.cat([points, value.expand(count, *points.shape[1:])])

@@ -384,6 +384,11 @@ def test_absent_sheep_and_shepherds_influence_nothing(
     assert command.isfinite().all()
 
 
+def test_a_shepherd_does_not_stop_for_absent_sheep() -> None:
+    state = state_of([[30.0, 0.0]], [[1.0, 0.0]], goal=[0.0, 0.0])  # the absent are 1 m away
+    assert_near(act(padded(state, 3), noise=0.0), [[1.0, 0.0]], 1e-12)
+
+
 def test_a_flock_may_be_degenerate() -> None:
     point = torch.tensor([1.5, -2.0], dtype=DOUBLE)
     base = make_state(1, 1000, 20)

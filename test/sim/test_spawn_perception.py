@@ -56,7 +56,7 @@ def test_the_shepherds_start_five_to_ten_meters_from_the_flock_in_any_direction(
     assert wrap(relative).mean().abs() < 0.15  # independent of where the flock is
 
 
-def test_agents_are_a_normal_distance_from_their_group_in_any_direction() -> None:
+def test_everyone_starts_a_normal_distance_from_the_group_in_any_direction() -> None:
     config = WorldConfig(n_sheep=10, n_shepherds=5, spawn=SpawnConfig(position_std=2.0))
     state, middle = starts(config), starts(replace(config, spawn=TIGHT))
     for here, center in (
@@ -68,6 +68,9 @@ def test_agents_are_a_normal_distance_from_their_group_in_any_direction() -> Non
         assert abs((distance**2).mean() - 4.0) < 0.15
         assert abs((distance < 2.0).double().mean() - 0.6827) < 0.015
         assert is_even_all_round(offset)
+        octant = (bearing(offset) / (math.pi / 4)).floor()
+        for k in range(-4, 4):  # near and far in all directions alike
+            assert abs((distance[octant == k] ** 2).mean() - 4.0) < 0.6
         neighbours = (here - center)[:, 1:], (here - center)[:, :-1]
         assert (neighbours[0] * neighbours[1]).mean().abs() < 0.1  # independent of each other
 
@@ -154,6 +157,16 @@ def test_perceived_positions_have_independent_normal_noise_on_each_coordinate() 
         assert abs((error.abs() < 1).double().mean() - 0.6827) < bound
         assert (error[:, 0] * error[:, 1]).mean().abs() < bound
         assert (error[1:] * error[:-1]).mean(dim=0).abs().max() < bound
+
+
+def test_noise_of_sheep_shepherds_and_goal_is_independent() -> None:
+    state = batch([replace(make_state(1, 20, 20), seed=torch.tensor(k)) for k in range(200)])
+    seen = perceive(state, 1.0)
+    sheep, shepherds = seen.sheep - state.sheep, seen.shepherds - state.shepherds
+    goal = (seen.goal - state.goal)[:, None].expand_as(sheep)
+    for a, b in ((sheep, shepherds), (sheep, goal), (shepherds, goal)):
+        assert (a * b)[:, 0].mean().abs() < 0.3
+    assert (sheep * shepherds).mean().abs() < 0.06
 
 
 def test_noise_leaves_headings_masks_time_and_goal_size_alone() -> None:
