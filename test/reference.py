@@ -555,7 +555,7 @@ def state_of(
 
 
 def padded(state: WorldState, sheep: int = 0, shepherds: int = 0) -> WorldState:
-    """Return a single world with absent sheep and shepherds after the present, who stand on the goal."""
+    """Return a single world with absent ones after the present, on the goal."""
 
     def add(points: Tensor, count: int, value: Tensor) -> Tensor:
         return torch.cat([points, value.expand(count, *points.shape[1:])])
