@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields
 import difflib
 import math
 from typing import Any, TypeVar
@@ -42,7 +42,10 @@ def checked(name: str, value: Any, default: Any, metadata: Mapping[str, Any]) ->
     An int is taken where a float is expected; NaN and infinity are refused everywhere.
     """
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
+        try:
+            value = float(value)
+        except OverflowError:
+            value = math.inf
     if type(value) is not type(default):
         raise ConfigError(
             f'{name} is {value!r} ({type(value).__name__}): expected {type(default).__name__}, '
@@ -60,6 +63,18 @@ def checked(name: str, value: Any, default: Any, metadata: Mapping[str, Any]) ->
     return value
 
 
+def part(kind: type[Config], default: type[Config] | None = None) -> Any:
+    """Return a dataclass field that holds a configuration of a kind, its default one at first."""
+    return field(default_factory=default or kind, metadata={'part': kind})
+
+
+def mapping(name: str, value: Any) -> Mapping[str, Any]:
+    """Return a value that has to be a mapping of names to values, or raise ConfigError."""
+    if not isinstance(value, Mapping):
+        raise ConfigError(f'{name} is {value!r}: expected a mapping of names to values')
+    return value
+
+
 @dataclass(frozen=True)
 class Config:
     """A frozen dataclass whose fields are made with option() and checked on creation."""
@@ -67,7 +82,12 @@ class Config:
     def __post_init__(self) -> None:
         """Check every field against its default's type, its range and its choices."""
         for f in fields(self):
-            if f.metadata:
+            kind = f.metadata.get('part')
+            if kind is not None and not isinstance(getattr(self, f.name), kind):
+                raise ConfigError(
+                    f'{f.name} is {getattr(self, f.name)!r}: expected a {kind.__name__}'
+                )
+            if 'doc' in f.metadata:
                 value = checked(f.name, getattr(self, f.name), f.default, f.metadata)
                 object.__setattr__(self, f.name, value)
 
@@ -87,8 +107,8 @@ class Config:
         for name, value in data.items():
             if name not in known:
                 raise unknown_name(f'{cls.__name__} field', name, list(known))
-            nested = known[name].default_factory
-            if is_dataclass(nested) and isinstance(value, Mapping):
-                value = nested.from_dict(value)
+            kind = known[name].metadata.get('part')
+            if kind is not None:
+                value = kind.from_dict(mapping(name, value))
             values[name] = value
         return cls(**values)

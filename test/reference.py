@@ -318,6 +318,14 @@ def trajectory_metrics(worlds: list[World], episode_steps: int) -> dict[str, flo
 # --- controllers --------------------------------------------------------------------------------
 
 
+def shortest_shift(slots: list[float], angles: list[float]) -> list[float]:
+    """Return the slots in ascending order, cyclically shifted so that the angles are nearest."""
+    turned = [slots[k:] + slots[:k] for k in range(len(slots))]
+    ways = [sum(abs(wrap(s - a)) for s, a in zip(row, angles, strict=True)) for row in turned]
+    nearest = [round(1e4 * way) for way in ways]
+    return turned[nearest.index(min(nearest))] if turned else []
+
+
 def strombom_targets(world: World, config: Any, r: float) -> dict[int, Point]:
     """Return where each shepherd wants to be: the roles of section 4.3."""
     n, m = len(world.sheep), len(world.shepherds)
@@ -346,8 +354,11 @@ def strombom_targets(world: World, config: Any, r: float) -> dict[int, Point]:
         if h not in target
     )
     spacing = config.wing_spacing or math.pi / (2 * m)
-    for k, (_, h) in enumerate(side):
-        at = behind + (k - (len(side) - 1) / 2) * spacing
+    slots = [(k - (len(side) - 1) / 2) * spacing for k in range(len(side))]
+    for slot, (_, h) in zip(
+        shortest_shift(slots, [angle for angle, _ in side]), side, strict=True
+    ):
+        at = behind + slot
         target[h] = (gx + drive * math.cos(at), gy + drive * math.sin(at))
     return target
 
@@ -442,22 +453,21 @@ def pierson_controller(
     longest = config.max_radius or 0.75 * notice_range
     radius = min(max(config.spread_factor * spread, config.min_radius), longest)
     gain = config.tracking_gain or min(1 / dt, 2.0)
+    order = list(range(m))
     if m == 1:
         at = bearing(world.goal[0] - gx, world.goal[1] - gy) + math.pi
         places = [(gx + radius * math.cos(at), gy + radius * math.sin(at))]
     else:
         opening = arc_opening(share, m)
+        slots = [opening * (2 * j - m - 1) / (2 * m - 2) for j in range(1, m + 1)]
+        if config.assignment == 'sorted':
+            around = [wrap(bearing(x - gx, y - gy) - phi - math.pi) for x, y in world.shepherds]
+            order.sort(key=lambda h: around[h])
+            slots = shortest_shift(slots, [around[h] for h in order])
         places = []
-        for j in range(1, m + 1):
-            at = phi + math.pi + opening * (2 * j - m - 1) / (2 * m - 2)
+        for slot in slots:
+            at = phi + math.pi + slot
             places.append((gx + radius * math.cos(at), gy + radius * math.sin(at)))
-    order = list(range(m))
-    if config.assignment == 'sorted':
-        order.sort(
-            key=lambda h: wrap(
-                bearing(world.shepherds[h, 0] - gx, world.shepherds[h, 1] - gy) - phi - math.pi
-            )
-        )
     command = np.zeros((m, 2))
     for place, h in zip(places, order, strict=True):
         vx = gain * (place[0] - world.shepherds[h, 0])

@@ -86,7 +86,7 @@ def config_schema(config: type[Config], **extra: Any) -> dict[str, Any]:
     """
     properties = dict(extra)
     for f in fields(config):
-        if f.metadata:
+        if 'doc' in f.metadata:
             properties[f.name] = _option_schema(f.default, f.metadata)
     names = [f.name for f in fields(config)]
     order = [name for name in extra if name not in names] + names

@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 from shepherd_ros.config import Config
 from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.vectors import wrap
 from shepherd_ros.sim.world import WorldConfig
 import torch
 from torch import Tensor
@@ -38,9 +39,25 @@ class Controller:
         raise NotImplementedError
 
 
-def rank(key: Tensor, mask: Tensor) -> Tensor:
-    """Return the place of each item in ascending order of key, ties by index; (..., H)."""
-    index = torch.arange(key.shape[-1], device=key.device)
-    mine, other = key[..., :, None], key[..., None, :]
+def places_on_arc(around: Tensor, spacing: Tensor, mask: Tensor) -> Tensor:
+    """
+    Return a place for each shepherd on an arc centred on 0, (..., H) rad.
+
+    around (..., H) rad are the shepherds' bearings from the arc's middle, spacing (..., 1) rad is
+    the angle between places, mask (..., H) says who takes part. Places are given in order of
+    bearing, up to the cyclic shift with the shortest ways: nobody crosses anybody, and shepherds
+    on the far side do not change their minds.
+    """
+    size = around.shape[-1]
+    index = torch.arange(size, device=around.device)
+    mine, other = around[..., :, None], around[..., None, :]
     before = (other < mine) | ((other == mine) & (index[None, :] < index[:, None]))
-    return (before & mask[..., None, :]).sum(dim=-1)
+    rank = (before & mask[..., None, :]).sum(dim=-1)
+    count = mask.sum(dim=-1, keepdim=True).clamp(min=1)  # (..., 1)
+    shifted = (rank[..., None, :] + index[:, None]) % count[..., None]  # (..., shift, H)
+    place = (shifted - (count[..., None] - 1) / 2) * spacing[..., None]
+    way = wrap(place - around[..., None, :]).abs() * mask[..., None, :]
+    # shifts that differ by rounding only are the same: the first of them counts
+    total = (way.sum(dim=-1) * 1e4).round()
+    best = total.argmin(dim=-1)[..., None, None].expand(*rank.shape[:-1], 1, size)
+    return place.gather(-2, best)[..., 0, :]

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 import math
 
-from shepherd_ros.config import Config, option
-from shepherd_ros.controllers.base import Controller, Memory, rank
+from shepherd_ros.config import Config, ConfigError, option
+from shepherd_ros.controllers.base import Controller, Memory, places_on_arc
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.metrics import flock_spread
 from shepherd_ros.sim.state import WorldState
@@ -37,16 +37,26 @@ class PiersonConfig(Config):
     spread_factor: float = option(3.0, 'kappa [-]: arc radius in flock spreads', low=0.0)
     min_radius: float = option(4.0, 'smallest arc radius [m]', low=0.0)
     max_radius: float = option(
-        0.0, 'largest arc radius [m]; 0: 3/4 of the range at which sheep notice shepherds', low=0.0
+        0.0,
+        'largest arc radius [m]; 0: 3/4 of r_s of a Strömbom flock, else of its default',
+        low=0.0,
     )
     tracking_gain: float = option(
         0.0, 'K_d [1/s] of a shepherd toward its place; 0: 1/dt, at most 2', low=0.0
     )
     assignment: str = option(
         'sorted',
-        'sorted: places by bearing, few crossings; fixed: place j for shepherd j',
+        'sorted: places by bearing, no crossings; fixed: place j for shepherd j',
         choices=('sorted', 'fixed'),
     )
+
+    def __post_init__(self) -> None:
+        """Check each field and the order of the limits."""
+        super().__post_init__()
+        for low, high in (('weakest_push', 'strongest_push'), ('min_radius', 'max_radius')):
+            least, most = getattr(self, low), getattr(self, high)
+            if least > most and most > 0:
+                raise ConfigError(f'{low} is {least}: expected at most {high}, {most}')
 
 
 def push_share(opening: Tensor, team: Tensor) -> Tensor:
@@ -101,14 +111,14 @@ class PiersonController(Controller):
         )
         # one shepherd stands opposite to the way to the goal, at the same radius
         rear = torch.where(team == 1, bearing(seen.goal - center), heading) + math.pi
-        index = torch.arange(seen.shepherds.shape[-2], device=heading.device).to(heading.dtype)
-        step = torch.where(team == 1, 0.0, opening / (2 * team - 2).clamp(min=1))
-        place = rear[..., None] + step[..., None] * (2 * index - team[..., None] + 1)  # (..., H)
-        if config.assignment == 'sorted':
-            around = bearing(seen.shepherds - center[..., None, :])
-            order = rank(wrap(around - rear[..., None]), seen.shepherd_mask)
-            order = torch.where(seen.shepherd_mask, order, torch.zeros_like(order))
-            place = place.gather(-1, order)
+        spacing = torch.where(team == 1, 0.0, opening / (team - 1).clamp(min=1))[..., None]
+        if self.config.assignment == 'sorted':
+            around = wrap(bearing(seen.shepherds - center[..., None, :]) - rear[..., None])
+            place = places_on_arc(around, spacing, seen.shepherd_mask)
+        else:
+            index = torch.arange(seen.shepherds.shape[-2], device=heading.device)
+            place = (index - (team[..., None] - 1) / 2) * spacing
+        place = rear[..., None] + place
         target = center[..., None, :] + radius[..., None, None] * from_bearing(place)
         gain = config.tracking_gain or min(1 / self.world.dt, 2.0)
         velocity = clip_norm(gain * (target - seen.shepherds), self.world.shepherd_speed)

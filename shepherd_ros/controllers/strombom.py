@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import math
 
 from shepherd_ros.config import Config, option
-from shepherd_ros.controllers.base import Controller, Memory, rank
+from shepherd_ros.controllers.base import Controller, Memory, places_on_arc
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.noise import direction, Stream
 from shepherd_ros.sim.state import WorldState
@@ -100,9 +100,13 @@ class StrombomController(Controller):
 
         rear = bearing(center - seen.goal)[..., None]
         around = wrap(bearing(shepherds - center[..., None, :]) - rear)
-        drivers = free.sum(dim=-1, keepdim=True)
-        spacing = self.config.wing_spacing or math.pi / (2 * seen.team_size[..., None])
-        slot = rear + (rank(around, free) - (drivers - 1) / 2) * spacing
+        team = seen.team_size[..., None]
+        spacing = (
+            math.pi / (2 * team)
+            if self.config.wing_spacing == 0
+            else (torch.full_like(rear, self.config.wing_spacing))
+        )
+        slot = rear + places_on_arc(around, spacing, free)
         driving = center[..., None, :] + behind[..., None, None] * from_bearing(slot)
         return torch.where(free[..., None], driving, target)
 

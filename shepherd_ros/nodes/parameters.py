@@ -75,7 +75,7 @@ def declare_config(
     """Declare a parameter for each option of a configuration; return it as the user wants it."""
     values = {f.name: getattr(config, f.name) for f in fields(config)}
     for f in fields(config):
-        if f.metadata and f.name not in skip:
+        if 'doc' in f.metadata and f.name not in skip:
             values[f.name] = declare(node, prefix + f.name, values[f.name], f.metadata, read_only)
     return type(config)(**values)
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
-from shepherd_ros.config import Config, option
+from shepherd_ros.config import Config, option, part
 from shepherd_ros.sim.lidar import LidarConfig, scan
 from shepherd_ros.sim.metrics import count_step, metrics, MetricsTally, start_tally
 from shepherd_ros.sim.observation import first_stack, ObservationConfig, push_frame
@@ -24,10 +24,10 @@ class EnvConfig(Config):
     """A world, its sensors and its reward."""
 
     noise_std: float = option(0.0, 'noise on all perceived positions [m]', low=0.0)
-    world: WorldConfig = field(default_factory=WorldConfig)
-    lidar: LidarConfig = field(default_factory=LidarConfig)
-    observation: ObservationConfig = field(default_factory=ObservationConfig)
-    reward: RewardConfig = field(default_factory=RewardConfig)
+    world: WorldConfig = part(WorldConfig)
+    lidar: LidarConfig = part(LidarConfig)
+    observation: ObservationConfig = part(ObservationConfig)
+    reward: RewardConfig = part(RewardConfig)
 
 
 class ShepherdEnv:

@@ -16,7 +16,7 @@ def spawn(config: WorldConfig, seed: Tensor, dtype: torch.dtype = torch.float32)
 
     The flock's center lies in a random direction from the goal, the shepherds' center in a random
     direction from the flock's; each agent is a signed normal distance from its center, in a random
-    direction.
+    direction. The k-th agent of a seed starts in the same place whatever the size of its group.
     """
     device, zero = seed.device, torch.zeros_like(seed)
     n, m, start = config.n_sheep, config.n_shepherds, config.spawn
@@ -29,8 +29,8 @@ def spawn(config: WorldConfig, seed: Tensor, dtype: torch.dtype = torch.float32)
 
     def around(stream: Stream, count: int) -> Tensor:
         index = torch.arange(count, device=device)
-        distance = start.position_std * normal(seed, zero, stream, index + count, torch.float64)
-        return direction(seed, zero, stream, index, torch.float64) * distance[..., None]
+        distance = start.position_std * normal(seed, zero, stream, 2 * index, torch.float64)
+        return direction(seed, zero, stream, 2 * index + 1, torch.float64) * distance[..., None]
 
     flock = center(Stream.FLOCK_PLACE, start.flock_distance_min, start.flock_distance_max)
     team = flock + center(

@@ -19,7 +19,7 @@ def unit(vector: Tensor) -> Tensor:
 
 def clip_norm(vector: Tensor, longest: float) -> Tensor:
     """Return the vector cut to a length, direction kept; (..., 2) -> (..., 2)."""
-    length = torch.linalg.vector_norm(vector, dim=-1, keepdim=True)
+    length = torch.hypot(vector[..., :1], vector[..., 1:])  # does not overflow
     return torch.where(length > longest, vector * (longest / length.clamp(min=EPSILON)), vector)
 
 

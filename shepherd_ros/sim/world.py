@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, replace
 from typing import Any
 
-from shepherd_ros.config import Config, ConfigError, option
+from shepherd_ros.config import Config, ConfigError, mapping, option, part
 from shepherd_ros.sim.flocking import flock_model, model_of
 from shepherd_ros.sim.flocking.base import FlockConfig
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
@@ -56,8 +56,8 @@ class WorldConfig(Config):
     episode_steps: int = option(1000, 'steps per episode, T', low=1, high=10_000_000)
     goal_radius: float = option(4.0, 'radius of the goal region, R_g [m]', low=0.01, high=1000.0)
     shepherd_speed: float = option(1.0, 'top speed of a shepherd, v_max [m/s]', low=0.0)
-    spawn: SpawnConfig = field(default_factory=SpawnConfig)
-    flock: FlockConfig = field(default_factory=StrombomFlock)
+    spawn: SpawnConfig = part(SpawnConfig)
+    flock: FlockConfig = part(FlockConfig, StrombomFlock)
 
     def __post_init__(self) -> None:
         """Check each field and that a smallest team fits."""
@@ -77,13 +77,7 @@ class WorldConfig(Config):
     def from_dict(cls, data: Mapping[str, Any]) -> WorldConfig:
         """Return the configuration that to_dict() gave, or raise ConfigError."""
         values = dict(data)
-        if 'flock' in values:
-            flock = dict(values['flock'])
-            model = flock_model(flock.pop('model', 'strombom'))
-            values['flock'] = model.config.from_dict(flock)
-        if 'spawn' in values:
-            values['spawn'] = SpawnConfig.from_dict(values['spawn'])
-        unknown = set(values) - {f.name for f in fields(cls)}
-        if unknown:
-            raise ConfigError(f'unknown fields of the world configuration: {sorted(unknown)}')
-        return cls(**values)
+        flock = dict(mapping('flock', values.pop('flock', {})))
+        model = flock_model(flock.pop('model', 'strombom'))
+        world = super().from_dict(values)
+        return replace(world, flock=model.config.from_dict(flock))

@@ -8,7 +8,7 @@ import math
 import pytest
 from reference import assert_near, batch, make_state, padded
 from shepherd_ros.controllers import controller_type, CONTROLLERS, make_controller
-from shepherd_ros.controllers.base import Controller, rank
+from shepherd_ros.controllers.base import Controller, places_on_arc
 from shepherd_ros.sim.noise import direction, Stream
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import step
@@ -126,9 +126,18 @@ def test_the_commands_of_the_present_do_not_depend_on_the_absent(name: str) -> N
     assert got.isfinite().all()
 
 
-def test_ranks_are_places_in_ascending_order_with_ties_by_index_and_the_absent_last() -> None:
-    key = torch.tensor([[3.0, 1.0, 2.0, 0.0], [1.0, 1.0, 0.0, 1.0]])
+def test_places_on_an_arc_go_to_shepherds_in_order_of_bearing() -> None:
+    around = torch.tensor([[0.3, -0.4, 0.1, 9.0], [0.0, 0.0, -1.0, 1.0]])
     mask = torch.tensor([[True, True, True, False], [True, True, True, True]])
-    got = rank(key, mask)
-    assert got[0, :3].tolist() == [2, 0, 1]
-    assert got[1].tolist() == [1, 2, 0, 3]
+    got = places_on_arc(around, torch.tensor([[0.5], [0.2]]), mask)
+    assert_near(got[0, :3], [0.5, -0.5, 0.0], 1e-6)
+    assert_near(got[1], [-0.1, 0.1, -0.3, 0.3], 1e-6)  # ties by index
+
+
+def test_shepherds_on_the_far_side_part_and_keep_to_their_ways() -> None:
+    # both a little left of the far point: in plain order of bearing the second would have to
+    # cross over to the place on the right of the first
+    spacing, mask = torch.tensor([0.8]), torch.tensor([True, True])
+    near, far = torch.tensor([2.95, 3.12]), torch.tensor([2.80, -3.05])
+    assert_near(places_on_arc(near, spacing, mask), [0.4, -0.4], 1e-6)
+    assert_near(places_on_arc(far, spacing, mask), [0.4, -0.4], 1e-6)  # a step later

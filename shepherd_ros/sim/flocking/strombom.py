@@ -95,17 +95,19 @@ def forces(
     """
     Return what acts on each sheep before any weight.
 
-    The sum of unit pushes by near sheep (..., N, 2), the local center (..., N, 2) m, the sum of
-    unit pushes by shepherds (..., N, 2), and whether any shepherd is noticed (..., N) bool.
+    The sum of unit pushes by near sheep (..., N, 2), the way to the local center (..., N, 2) m,
+    the sum of unit pushes by shepherds (..., N, 2), and whether any is noticed (..., N) bool.
     """
     x, y = offsets(sheep, sheep)
     squared = x * x + y * y
     from_sheep = push(x, y, squared, (squared < config.sheep_range**2) & mask[..., None, :])
-    center = local_center(sheep, mask, squared, config.n_neighbors)
+    # relative to one sheep: means of far places would be rounded by more than close sheep differ
+    near = sheep - sheep[..., :1, :]
+    attraction = local_center(near, mask, squared, config.n_neighbors) - near
     x, y = offsets(sheep, shepherds)
     squared = x * x + y * y
     noticed = (squared < config.shepherd_range**2) & shepherd_mask[..., None, :]
-    return from_sheep, center, push(x, y, squared, noticed), noticed.any(dim=-1)
+    return from_sheep, attraction, push(x, y, squared, noticed), noticed.any(dim=-1)
 
 
 def step(state: WorldState, config: StrombomFlock, dt: float) -> tuple[Tensor, Tensor]:
@@ -119,10 +121,9 @@ def step(state: WorldState, config: StrombomFlock, dt: float) -> tuple[Tensor, T
         return strombom_step(state, config, dt)
     sheep = state.sheep
     index = torch.arange(sheep.shape[-2], device=sheep.device)
-    from_sheep, center, from_shepherds, reacting = forces(
+    from_sheep, attraction, from_shepherds, reacting = forces(
         sheep, state.sheep_mask, state.shepherds, state.shepherd_mask, config
     )
-    attraction = center - sheep
     if not config.metric_attraction:
         attraction = unit(attraction)
     if config.normalize_shepherds:
@@ -142,7 +143,7 @@ def step(state: WorldState, config: StrombomFlock, dt: float) -> tuple[Tensor, T
     chance = uniform(state.seed, state.step, Stream.GRAZE, index, sheep.dtype)[..., None]
     moving = reacting | (chance < config.graze_probability)
     heading = torch.where(reacting, fleeing, torch.where(moving, random, state.heading))
-    return sheep + moving * (config.speed * dt) * heading, heading
+    return sheep + torch.where(moving, (config.speed * dt) * heading, 0.0), heading
 
 
 def first_heading(seed: Tensor, n: int, config: StrombomFlock) -> Tensor:

@@ -77,11 +77,13 @@ def _strombom(
         turn, graze = key_of(seed[b], step[b], _TURN), key_of(seed[b], step[b], _GRAZE)
         others = -1
         sum_x, sum_y = _ZERO, _ZERO
+        # relative to one sheep: means of far places would be rounded by more than sheep differ
+        near = sheep[b] - sheep[b, 0]
         for j in range(n):
             if mask[b, j]:
                 others += 1
-                sum_x += sheep[b, j, 0]
-                sum_y += sheep[b, j, 1]
+                sum_x += near[j, 0]
+                sum_y += near[j, 1]
         far = others - n_neighbors
         count = min(others, n_neighbors)
         for i in range(n):
@@ -91,24 +93,24 @@ def _strombom(
             away_x, away_y, reacting = _push(x, y, shepherds[b], shepherd_mask[b], shepherd_range)
             moving = True
             if reacting:
-                center_x, center_y = x, y
+                to_x, to_y = _ZERO, _ZERO
                 if count > 0:
-                    center_x, center_y = sum_x - x, sum_y - y
+                    to_x, to_y = sum_x - near[i, 0], sum_y - near[i, 1]
                     if far > 0:
                         for j in range(n):
                             dx, dy = x - sheep[b, j, 0], y - sheep[b, j, 1]
                             squared[j] = dx * dx + dy * dy
                         if far <= n_neighbors:
                             far_x, far_y = _sum_of_extremes(
-                                i, sheep[b], mask[b], squared, far, np.float32(-1), best, index
+                                i, near, mask[b], squared, far, np.float32(-1), best, index
                             )
-                            center_x, center_y = center_x - far_x, center_y - far_y
+                            to_x, to_y = to_x - far_x, to_y - far_y
                         else:
-                            center_x, center_y = _sum_of_extremes(
-                                i, sheep[b], mask[b], squared, count, _ONE, best, index
+                            to_x, to_y = _sum_of_extremes(
+                                i, near, mask[b], squared, count, _ONE, best, index
                             )
-                    center_x, center_y = center_x / np.float32(count), center_y / np.float32(count)
-                to_x, to_y = center_x - x, center_y - y
+                    to_x = to_x / np.float32(count) - near[i, 0]
+                    to_y = to_y / np.float32(count) - near[i, 1]
                 if not metric:
                     to_x, to_y = _unit(to_x, to_y)
                 apart_x, apart_y, _ = _push(x, y, sheep[b], mask[b], sheep_range)
