@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+import math
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -13,6 +14,11 @@ from shepherd_ros.nodes.episode import Episode
 from shepherd_ros.nodes.messages import LARGEST_FLOAT32, velocity_of
 
 THROTTLE = 5.0  # [s] between two warnings of one kind
+
+
+def seconds(ns: int) -> str:
+    """Return nanoseconds as seconds with all digits: stamps may differ in the last one."""
+    return f'{ns // 10**9}.{ns % 10**9:09d}'
 
 
 class CommandGate:
@@ -95,6 +101,7 @@ class CommandGate:
                     'not_finite',
                     f'shepherd_{shepherd}: command {velocity} m/s is not finite: counts as zero',
                 )
+                velocity = math.nan, math.nan
             self.commands.add(shepherd, velocity)
             if self.complete:
                 self.on_answers()
@@ -130,8 +137,8 @@ class CommandGate:
             return False
         self._refuse(
             'wrong_stamp',
-            f'shepherd_{shepherd}: command stamped {ns * 1e-9:.3f} s, expected '
-            f'{self.now_ns * 1e-9:.3f} s: ignored; copy the stamp of flock/poses, or start '
+            f'shepherd_{shepherd}: command stamped {seconds(ns)} s, expected '
+            f'{seconds(self.now_ns)} s: ignored; copy the stamp of flock/poses, or start '
             'flock_sim with stamped:=false and publish Twist',
         )
         return False

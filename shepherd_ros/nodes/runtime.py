@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+import os
 import re
 import signal
 import sys
 from typing import Any
 
 import rclpy
-from rclpy.exceptions import NotInitializedException, ParameterException
-from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.exceptions import ParameterException
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.parameter import parameter_value_to_python
+from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes.base import ShepherdNode
 from shepherd_ros.nodes.parameters import warn_of_unknown
 
 USER_MISTAKE = 2
-CONTEXT_ENDED = (NotInitializedException, _rclpy.InvalidHandle, _rclpy.RCLError)
+LOOK = 0.1  # [s] after which a signal is seen at the latest
 
 
 def make_executor(kind: str, context: Any = None) -> Executor:
@@ -32,7 +35,7 @@ def make_executor(kind: str, context: Any = None) -> Executor:
 
 
 def spin(nodes: Sequence[ShepherdNode], until: Callable[[], bool] = lambda: False) -> None:
-    """Run nodes in one executor until a signal, a shutdown or until() is true."""
+    """Run nodes in one executor until the context ends or until() is true."""
     context = nodes[0].context
     executor = make_executor(nodes[0].executor_kind, context)
     for node in nodes:
@@ -40,7 +43,7 @@ def spin(nodes: Sequence[ShepherdNode], until: Callable[[], bool] = lambda: Fals
     try:
         # a time-out, as the events executor of Jazzy hangs without one
         while context.ok() and not until():
-            executor.spin_once(timeout_sec=0.5)
+            executor.spin_once(timeout_sec=LOOK)
     finally:
         for node in nodes:
             executor.remove_node(node)
@@ -58,11 +61,27 @@ def help_text(node: ShepherdNode, doc: str) -> str:
     return '\n'.join(lines)
 
 
+def show_help(node: ShepherdNode, doc: str) -> None:
+    """Print the help; a reader that has had enough, such as head, is no error."""
+    try:
+        print(help_text(node, doc), flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def hide() -> None:
+    """Let the nodes of this process be found by nobody and say nothing, as help needs them."""
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'OFF'
+    set_logger_level('', LoggingSeverity.FATAL)
+
+
 def run(make_node: Callable[[], ShepherdNode], name: str, doc: str) -> int:
     """Run one node as a process; return its exit code, 0 after SIGINT or SIGTERM."""
-    # both signals end rclpy's context, which ends spin(); KeyboardInterrupt could come anywhere
-    signal.signal(signal.SIGINT, lambda *_: None)
-    node, started = None, False
+    # rclpy's own handlers would end the context in the midst of a callback that publishes
+    came: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, frame: came.append(number))
+    node = None
     try:
         words = remove_ros_args(sys.argv)[1:]
         strange = [word for word in words if word not in ('-h', '--help')]
@@ -71,31 +90,25 @@ def run(make_node: Callable[[], ShepherdNode], name: str, doc: str) -> int:
                 f'unknown argument {strange[0]!r}: expected --help, or --ros-args followed by '
                 '-p name:=value, -r from:=to or --params-file FILE'
             )
-        rclpy.init()
-        started = True
-        node = make_node()
         if words:
-            print(help_text(node, doc))
-            return 0
-        warn_of_unknown(node)
-        own = node
-        spin([node], until=lambda: own.finished)
-    except ExternalShutdownException:
-        pass
+            hide()
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        node = own = make_node()
+        if words:
+            show_help(node, doc)
+        else:
+            warn_of_unknown(node)
+            spin([node], until=lambda: own.finished or bool(came))
     except (ConfigError, ParameterException) as error:
         print(f'{name}: {error}', file=sys.stderr)
         return USER_MISTAKE
     except Exception as error:
-        if started and not rclpy.ok() and isinstance(error, CONTEXT_ENDED):
-            return 0  # a signal came in the middle of a callback
         mistake = rcl_mistake(error)
         if mistake is None:
             raise
         print(f'{name}: {mistake}', file=sys.stderr)
         return USER_MISTAKE
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
