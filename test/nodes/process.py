@@ -343,11 +343,11 @@ class Graph:
         ]
 
     def status(self, part: str) -> DiagnosticStatus | None:
-        """Return the last status on /diagnostics whose name ends with a part, None before."""
+        """Return the last status on /diagnostics whose name has a part, None before."""
         found = None
         for message in self._common('/diagnostics', DiagnosticArray, RELIABLE):
             for status in message.status:
-                found = status if status.name.endswith(part) else found
+                found = status if part in status.name else found
         return found
 
     def until_status(self, part: str, pattern: str) -> DiagnosticStatus:
@@ -424,9 +424,11 @@ def rollout(
     return [s.world(0) for s in states], [{k: v[0] for k, v in m.items()} for m in metrics]
 
 
-def assert_same_states(track: Track, expected: list[WorldState]) -> None:
-    """Assert that exactly the expected states were heard, bit by bit."""
-    stamps = track.stamps
+def assert_same_states(
+    track: Track, expected: list[WorldState], stamps: list[int] | None = None
+) -> None:
+    """Assert that exactly the expected states were heard (at these stamps), bit by bit."""
+    stamps = track.stamps if stamps is None else stamps
     assert len(stamps) == len(expected)
     steps = {b - a for a, b in pairwise(stamps)}
     assert len(steps) <= 1, f'stamps are {steps} ns apart'

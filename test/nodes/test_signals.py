@@ -1,0 +1,163 @@
+"""Every executable ends cleanly on a signal, idle or busy, and says what it is on --help."""
+
+from __future__ import annotations
+
+import re
+from signal import SIGINT, Signals, SIGTERM
+import subprocess
+
+from nodes.process import BIN, EXECUTABLES, Graph, LATCHED, Process
+import pytest
+from rclpy.parameter import parameter_value_to_python
+from std_msgs.msg import String
+
+STACK = ('flock_sim', 'lidar', 'metrics', 'strombom')
+
+
+def assert_clean_end(process: Process) -> None:
+    """Assert that a process ends by itself, with exit code 0 and without a traceback."""
+    assert process.wait() == 0, process
+    assert 'Traceback' not in process.text, process
+    assert 'Error' not in process.text, process
+
+
+@pytest.mark.parametrize(
+    ('signals', 'executor'),
+    [
+        ([SIGINT], 'single'),
+        ([SIGTERM], 'single'),
+        ([SIGINT, SIGINT], 'events'),
+        ([SIGTERM, SIGTERM], 'events'),
+    ],
+    ids=['INT', 'TERM', 'INT twice, events', 'TERM twice, events'],
+)
+def test_every_executable_ends_with_zero_on_a_signal_while_it_waits(
+    graph: Graph, signals: list[Signals], executor: str
+) -> None:
+    waiting = [name for name in EXECUTABLES if name != 'flock_sim']
+    processes = {name: graph.start(name, executor=executor) for name in waiting}
+    for name in waiting:  # it reports once a second, so that it spins
+        graph.until_status(f'{name}: ', 'no state of the world heard yet')
+    for process in processes.values():
+        process.send(*signals)
+    for process in processes.values():
+        assert_clean_end(process)
+        assert process.text == ''
+
+
+@pytest.mark.parametrize(
+    ('signals', 'executor'),
+    [
+        ([SIGINT], 'single'),
+        ([SIGTERM], 'single'),
+        ([SIGINT, SIGINT], 'single'),
+        ([SIGTERM, SIGTERM], 'single'),
+        ([SIGINT], 'events'),
+        ([SIGTERM], 'events'),
+        ([SIGINT, SIGTERM], 'events'),
+    ],
+    ids=lambda value: '-'.join(s.name for s in value) if isinstance(value, list) else value,
+)
+def test_a_busy_stack_ends_with_zero_on_a_signal_in_the_midst_of_its_work(
+    graph: Graph, signals: list[Signals], executor: str
+) -> None:
+    track = graph.track()
+    parameters = {'flock_sim': {'n_sheep': 20}, 'lidar': {'shepherd_ids': [0, 1, 2]}}
+    processes = [
+        graph.start(name, executor=executor, **parameters.get(name, {})) for name in STACK
+    ]
+    graph.until(lambda: len(track.stamps) > 20, 'the world moves fast')
+    for process in reversed(processes):  # the world last, so that all the others are busy
+        process.send(*signals)
+    for process in processes:
+        assert_clean_end(process)
+
+
+@pytest.mark.parametrize('number', [SIGINT, SIGTERM], ids=['INT', 'TERM'])
+def test_the_world_ends_with_zero_in_realtime_and_while_it_waits(
+    graph: Graph, number: Signals
+) -> None:
+    track = graph.track()
+    fast = graph.start('flock_sim', mode='realtime', rate=500.0, n_sheep=20)
+    graph.until(lambda: len(track.stamps) > 20, 'the world moves fast')
+    fast.send(number)
+    assert_clean_end(fast)
+    waiting = graph.start('flock_sim', n_sheep=20)
+    graph.until_says(waiting, 'episode 0')
+    waiting.send(number)
+    assert_clean_end(waiting)
+
+
+@pytest.mark.parametrize('number', [SIGINT, SIGTERM], ids=['INT', 'TERM'])
+def test_a_freshly_started_python_ends_with_zero_on_two_signals(
+    graph: Graph, number: Signals
+) -> None:
+    # not forked, so that the end of the interpreter is part of it
+    processes = [
+        graph.start('flock_sim', fresh=True, n_sheep=20),
+        graph.start('strombom', fresh=True),
+    ]
+    track = graph.track()
+    graph.until(lambda: len(track.stamps) > 20, 'the world moves')
+    for process in processes:
+        process.send(number, number)
+    for process in processes:
+        assert_clean_end(process)
+
+
+def test_a_signal_ends_a_node_whose_partner_is_stopped(graph: Graph) -> None:
+    sim = graph.start('flock_sim', n_sheep=20, silence_warning=0.2)
+    graph.start('strombom', shepherd_ids=[0])
+    graph.until_says(sim, 'waiting at')
+    assert sim.stop(SIGINT) == 0
+
+
+# --- help ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('executable', EXECUTABLES)
+def test_help_names_every_parameter_with_its_default(graph: Graph, executable: str) -> None:
+    process = graph.start_words(executable, ['--help'])
+    node = graph.host(executable)
+    assert process.wait() == 0
+    first, *_ = process.text.splitlines()
+    assert re.match(r'[A-Z][^\n]+\.$', first), 'a sentence comes first'
+    for name, parameter in node._parameters.items():
+        if name in ('use_sim_time', 'start_type_description_service'):
+            continue
+        value = parameter_value_to_python(parameter.get_parameter_value())
+        shown = list(value) if hasattr(value, 'tolist') else value
+        line = re.search(rf'^  {re.escape(name)} \((.*?)\): (\S.+)$', process.text, re.MULTILINE)
+        assert line, f'{name} is not in the help of {executable}'
+        if not isinstance(shown, list):
+            assert line[1] == str(shown), name
+    assert '--ros-args -p name:=value' in process.text
+
+
+def test_help_also_comes_for_a_short_h_and_beside_ros_arguments(graph: Graph) -> None:
+    short = graph.start_words('idle', ['-h'])
+    beside = graph.start_words('flock_sim', ['--help', '--ros-args', '-p', 'n_sheep:=7'])
+    assert short.wait() == beside.wait() == 0
+    assert 'noise_std (0.0)' in short.text
+    assert 'n_sheep (7)' in beside.text
+
+
+def test_help_into_a_closed_pipe_is_quiet(graph: Graph) -> None:
+    command = f'{BIN / "lidar"} --help | head -1; exit ${{PIPESTATUS[0]}}'
+    child = subprocess.run(['bash', '-c', command], capture_output=True, text=True, check=False)
+    assert (child.stderr, child.returncode) == ('', 0)
+    assert len(child.stdout.splitlines()) == 1
+
+
+def test_help_does_not_disturb_a_running_world(graph: Graph) -> None:
+    told = graph.collect('episode', String, LATCHED)
+    track = graph.track()
+    sim = graph.host('flock_sim', n_sheep=20, seed=5)
+    graph.host('idle')
+    graph.until(lambda: told and int(sim.state.step) > 3, 'the world runs')
+    process = graph.start_words('flock_sim', ['--help'])
+    graph.until(lambda: process.code is not None, 'the help')
+    now = sim.now_ns
+    graph.until(lambda: sim.now_ns > now + 3 * sim.dt_ns, 'the world goes on')
+    assert len(told) == 1
+    assert track.shown == sorted(track.shown)
