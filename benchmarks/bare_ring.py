@@ -11,17 +11,19 @@ from array import array
 import time
 
 from geometry_msgs.msg import PoseArray, TwistStamped
+import numpy as np
 import rclpy
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import LaserScan
-from shepherd_ros.nodes.messages import decode_poses, encode_poses
+from shepherd_ros.bags.encode import encode_poses
+from shepherd_ros.nodes.messages import decode_poses
 from shepherd_ros.nodes.runtime import make_executor
 import torch
 
 LIDARS = 3
 RELIABLE = QoSProfile(depth=10)
-POSES = (torch.zeros(100, 2), torch.tensor([[1.0, 0.0]]).expand(100, 2))
+POSES = (np.zeros((100, 2)), np.tile([1.0, 0.0], (100, 1)))
 
 
 class Sim(Node):

@@ -7,54 +7,26 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.duration import Duration
 from rclpy.parameter import Parameter
-from rosgraph_msgs.msg import Clock as ClockMessage
 from shepherd_ros.config import ConfigError
-from shepherd_ros.nodes.base import OK, ShepherdNode, stamp, WARN
+from shepherd_ros.nodes.base import OK, ShepherdNode, WARN
 from shepherd_ros.nodes.command_gate import CommandGate
 from shepherd_ros.nodes.episode import Episode
 from shepherd_ros.nodes.flock_services import FlockServices, LARGEST_SEED
-from shepherd_ros.nodes.markers import world_markers
-from shepherd_ros.nodes.messages import encode_poses, goal_message
-from shepherd_ros.nodes.parameters import declare, declare_config
+from shepherd_ros.nodes.parameters import declare
 from shepherd_ros.nodes.runtime import run
-from shepherd_ros.nodes.transforms import TransformOutput
-from shepherd_ros.sim.flocking import FLOCK_MODELS
-from shepherd_ros.sim.presets import PRESETS, world_preset
+from shepherd_ros.nodes.world_options import declare_world
+from shepherd_ros.nodes.world_output import WorldOutput
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import step
-from shepherd_ros.sim.vectors import unit
-from shepherd_ros.sim.world import WorldConfig
-from std_msgs.msg import String
 import torch
 from torch import Tensor
 
 MODES = ('lockstep', 'realtime')
 LOWEST_RATE = 0.001  # [1/s]
-MARKER_PERIOD = 0.05  # [s] wall time between two pictures
 WATCH_PERIOD = 0.05  # [s] wall time between two looks at who is silent
 PAUSED_RESEND = 1.0  # [s] wall time after which a paused world shows its state again
-
-
-def declare_world(node: ShepherdNode) -> WorldConfig:
-    """Declare all parameters of the world; the preset gives the defaults."""
-    flock = node.option(
-        'flock', 'strombom', 'flock model: ' + ', '.join(sorted(FLOCK_MODELS)),
-        choices=tuple(sorted(FLOCK_MODELS)),
-    )  # fmt: skip
-    preset = node.option(
-        'preset', 'default', 'defaults of dt and flock: ' + ', '.join(sorted(PRESETS)),
-        choices=tuple(sorted(PRESETS)),
-    )  # fmt: skip
-    world = world_preset(preset, flock)
-    models = {
-        name: declare_config(node, world_preset(preset, name).flock, f'{name}.')
-        for name in sorted(FLOCK_MODELS)
-    }
-    start = declare_config(node, world.spawn, 'spawn.')
-    return declare_config(node, replace(world, spawn=start, flock=models[flock]))
 
 
 def check_rate(rate: float) -> None:
@@ -104,13 +76,9 @@ class FlockSim(ShepherdNode):
         self.now_ns = 0
         self.moved: WorldState | None = None  # the state before, for the shepherds' headings
         self.pending_goal: Tensor | None = None
-        self.sent = self.drawn = 0.0
+        self.sent = 0.0
         self.steps_made = 0
-        self.outputs = {
-            name: self.advertise(name)
-            for name in ('episode', 'goal', '/clock', 'flock/poses', 'shepherds/poses', 'markers')
-        }
-        self.transforms = TransformOutput(self)
+        self.output = WorldOutput(self)
         self.gate = CommandGate(self, self.on_answers)
         self.requests = FlockServices(self)
         self.listen('goal_pose', self.on_goal_pose)
@@ -151,11 +119,7 @@ class FlockSim(ShepherdNode):
             world=self.world,
         )
         self.gate.begin(self.episode)
-        self.outputs['episode'].publish(String(data=self.episode.to_json()))
-        self.publish_goal()
-        # latched topics have to be there before the first state that needs them
-        for name in ('episode', 'goal'):
-            self.outputs[name].wait_for_all_acked(Duration(seconds=0.2))
+        self.output.episode(self.now_ns, self.episode, self.state)
         self.get_logger().info(
             f'episode {self.number}: seed {seed}, {self.world.n_sheep} sheep, {team} shepherds, '
             f'{self.world.episode_steps} steps of {self.world.dt:g} s, {self.mode}'
@@ -183,8 +147,7 @@ class FlockSim(ShepherdNode):
         if not self.finished:
             self.get_logger().info(f'{self.episodes} episodes done')
             self.publish_diagnostics()
-            for name in ('flock/poses', 'shepherds/poses'):
-                self.outputs[name].wait_for_all_acked(Duration(seconds=1))
+            self.output.wait('flock/poses', 'shepherds/poses', seconds=1.0)
             self.finished = True
 
     # ---- what makes it move ----
@@ -228,32 +191,17 @@ class FlockSim(ShepherdNode):
     # ---- what it publishes ----
 
     def publish_state(self, again: bool = False) -> None:
-        """Publish clock and poses of the present state, and expect answers to it."""
+        """Publish the present state, and expect answers to it."""
         if not again:
             self.gate.expect(self.now_ns, self.dt_ns)
-        state, before = self.state, self.moved or self.state
         self.sent = self.wall()
-        self.outputs['/clock'].publish(ClockMessage(clock=stamp(self.now_ns)))
-        for name, position, heading in (
-            ('shepherds/poses', state.shepherds, unit(state.shepherds - before.shepherds)),
-            ('flock/poses', state.sheep, state.heading),
-        ):
-            self.outputs[name].publish(encode_poses(self.now_ns, self.frame_id, position, heading))
-        self.transforms.publish(self.now_ns, state.shepherds)
-        if self.sent - self.drawn > MARKER_PERIOD:
-            if self.outputs['markers'].get_subscription_count():
-                self.outputs['markers'].publish(world_markers(self.now_ns, self.frame_id, state))
-            self.drawn = self.sent
-
-    def publish_goal(self) -> None:
-        """Publish where the goal is."""
-        self.outputs['goal'].publish(goal_message(self.now_ns, self.frame_id, self.state.goal))
+        self.output.state(self.now_ns, self.state, self.moved or self.state)
 
     def set_goal(self, goal: Tensor) -> None:
         """Move the goal now, (2,) m."""
         self.pending_goal = None
         self.state = replace(self.state, goal=goal)
-        self.publish_goal()
+        self.output.goal(self.now_ns, self.state)
 
     def move_goal(self, x: float, y: float) -> None:
         """Move the goal before the next state is published; at once in a paused world."""

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import Twist
 from rclpy.publisher import Publisher
+from shepherd_ros.bags.encode import encode_command, encode_twist
 from shepherd_ros.controllers import controller_type
 from shepherd_ros.controllers.base import Controller, Memory
 from shepherd_ros.nodes.base import OK, ShepherdNode, WARN
 from shepherd_ros.nodes.episode import Episode
 from shepherd_ros.nodes.listener import Listener
-from shepherd_ros.nodes.messages import command_message
 from shepherd_ros.nodes.parameters import declare_config
 from shepherd_ros.nodes.runtime import run
 from shepherd_ros.sim.perception import perceive
@@ -76,8 +75,9 @@ class HeuristicNode(ShepherdNode):
             command, self.memory = self.controller.act(seen, self.memory)
             self.last = (ns, command)
         for h, output in self.outputs.items():
-            message = command_message(ns, self.frame_id, self.last[1][h])
-            output.publish(message if self.stamped else _plain(message))
+            x, y = self.last[1][h].tolist()
+            stamped = encode_command(ns, self.frame_id, x, y)
+            output.publish(stamped if self.stamped else encode_twist(x, y))
 
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return whether states come in."""
@@ -91,11 +91,6 @@ class HeuristicNode(ShepherdNode):
                 shepherds=sorted(self.outputs),
             )
         ]
-
-
-def _plain(message: Any) -> Twist:
-    twist: Twist = message.twist
-    return twist
 
 
 def strombom() -> int:

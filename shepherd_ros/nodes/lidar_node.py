@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from shepherd_ros.bags.encode import encode_scan
 from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes.base import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.nodes.episode import Episode
 from shepherd_ros.nodes.listener import Listener
 from shepherd_ros.nodes.markers import ray_markers
-from shepherd_ros.nodes.messages import scan_message
 from shepherd_ros.nodes.parameters import declare_config
 from shepherd_ros.nodes.runtime import run
 from shepherd_ros.sim.lidar import CHANNELS, LidarConfig, scan
@@ -70,7 +70,9 @@ class LidarNode(ShepherdNode):
             frame = self.scan_frame.replace('{h}', str(h))
             for output, channel in zip(self.outputs[h], row, strict=True):
                 output.publish(
-                    scan_message(ns, frame, channel, self.config.range_max, episode.world.dt)
+                    encode_scan(
+                        ns, frame, channel.numpy(), self.config.range_max, episode.world.dt
+                    )
                 )
             if draw:
                 origin = state.shepherds[h]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from shepherd_ros.bags.encode import encode_number
 from shepherd_ros.nodes.base import OK, ShepherdNode, WARN
 from shepherd_ros.nodes.episode import Episode
 from shepherd_ros.nodes.listener import Listener
@@ -18,7 +19,6 @@ from shepherd_ros.sim.metrics import (
     start_tally,
 )
 from shepherd_ros.sim.state import WorldState
-from std_msgs.msg import Float64
 
 
 class MetricsNode(ShepherdNode):
@@ -52,7 +52,7 @@ class MetricsNode(ShepherdNode):
         steps = episode.world.episode_steps
         self.values = {k: float(v) for k, v in metrics(self.tally, state, steps).items()}
         for name, value in self.values.items():
-            self.outputs[name].publish(Float64(data=value))
+            self.outputs[name].publish(encode_number(value))
         if step == steps and not self.reported:
             self.reported = True
             shown = ', '.join(f'{name} {self.values[name]:.4g}' for name in PAPER_METRICS)

@@ -7,24 +7,31 @@ import math
 import struct
 from typing import Any
 
-from geometry_msgs.msg import Pose, PoseArray, Twist
+from geometry_msgs.msg import Pose, PoseArray, PoseStamped, Twist, TwistStamped
 from hypothesis import given as for_all
 from hypothesis import settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import LaserScan
+from shepherd_ros.bags import encode
+from shepherd_ros.bags.encode import (
+    encode_clock,
+    encode_command,
+    encode_goal,
+    encode_number,
+    encode_scan,
+    encode_text,
+    encode_twist,
+)
 from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes.base import nanoseconds, stamp
 from shepherd_ros.nodes.commands import CommandBuffer
 from shepherd_ros.nodes.episode import Episode
 from shepherd_ros.nodes.messages import (
-    command_message,
     decode_poses,
-    encode_poses,
-    goal_message,
-    scan_message,
     velocity_of,
 )
 from shepherd_ros.nodes.parameters import checked, descriptor
@@ -32,6 +39,7 @@ from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.lidar import TOUCHING
 from shepherd_ros.sim.presets import PRESETS, training_world, world_preset
 from shepherd_ros.sim.vectors import from_bearing
+from std_msgs.msg import Float64, String
 import torch
 from torch import Tensor
 
@@ -58,6 +66,17 @@ def pose_array(position: Tensor, heading: Tensor, ns: int, frame_id: str) -> Pos
         pose.orientation.z, pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
         message.poses.append(pose)
     return message
+
+
+def read_back(raw: bytes, kind: type) -> Any:
+    """Return the message that rclpy reads, which it writes in as many bytes."""
+    message = deserialize_message(raw, kind)
+    assert len(serialize_message(message)) == len(raw)
+    return message
+
+
+def encode_poses(ns: int, frame_id: str, position: torch.Tensor, heading: torch.Tensor) -> bytes:
+    return encode.encode_poses(ns, frame_id, position.numpy(), heading.numpy())
 
 
 # --- poses --------------------------------------------------------------------------------------
@@ -151,8 +170,7 @@ def test_nan_and_infinite_positions_are_carried_for_the_reader_to_refuse() -> No
 def test_a_scan_follows_rep_117_and_its_angles_are_those_of_the_rays(n_rays: int) -> None:
     ranges = torch.linspace(TOUCHING, 75.0, n_rays)
     ranges[1], ranges[2] = math.inf, 10.0
-    message = scan_message(NS, 'shepherd_0', ranges, 75.0, 0.5)
-    message = deserialize_message(serialize_message(message), LaserScan)
+    message = read_back(encode_scan(NS, 'shepherd_0', ranges.numpy(), 75.0, 0.5), LaserScan)
     read = np.frombuffer(message.ranges, np.float32)
     assert np.array_equal(read, ranges.numpy())  # exactly, +inf kept: no return
     assert nanoseconds(message.header.stamp) == NS
@@ -171,7 +189,7 @@ def test_a_scan_follows_rep_117_and_its_angles_are_those_of_the_rays(n_rays: int
 
 
 def test_the_goal_is_a_pose_with_its_stamp_and_frame() -> None:
-    message = goal_message(NS, 'field', torch.tensor([1.5, -2.25]))
+    message = read_back(encode_goal(NS, 'field', 1.5, -2.25), PoseStamped)
     point = message.pose.position
     assert (point.x, point.y, point.z) == (1.5, -2.25, 0.0)
     assert message.header.frame_id == 'field'
@@ -180,7 +198,7 @@ def test_the_goal_is_a_pose_with_its_stamp_and_frame() -> None:
 
 
 def test_a_command_is_a_stamped_velocity_in_the_plane() -> None:
-    message = command_message(NS, 'map', torch.tensor([0.25, -0.5]))
+    message = read_back(encode_command(NS, 'map', 0.25, -0.5), TwistStamped)
     assert nanoseconds(message.header.stamp) == NS
     assert message.header.frame_id == 'map'
     assert velocity_of(message.twist) == (0.25, -0.5)
@@ -396,3 +414,18 @@ def test_a_descriptor_has_the_range_on_both_sides_even_if_only_one_is_given() ->
     assert 'a, b' in described.additional_constraints
     assert not described.integer_range
     assert not described.floating_point_range
+
+
+@pytest.mark.parametrize('frame_id', FRAMES)
+def test_goal_and_command_are_read_whatever_the_length_of_the_frame(frame_id: str) -> None:
+    command = read_back(encode_command(NS, frame_id, 0.25, -0.5), TwistStamped)
+    goal = read_back(encode_goal(NS, frame_id, 3.0, 4.0), PoseStamped)
+    assert (command.header.frame_id, command.twist.linear.y) == (frame_id, -0.5)
+    assert (goal.header.frame_id, goal.pose.position.y) == (frame_id, 4.0)
+
+
+def test_what_has_no_header_comes_back() -> None:
+    assert velocity_of(read_back(encode_twist(0.25, -0.5), Twist)) == (0.25, -0.5)
+    assert read_back(encode_text('Schäfer {}'), String).data == 'Schäfer {}'
+    assert nanoseconds(read_back(encode_clock(NS), Clock).clock) == NS
+    assert read_back(encode_number(math.pi), Float64).data == math.pi

@@ -1,0 +1,75 @@
+"""Messages of the contract as CDR, little endian, from plain arrays: for nodes and for files."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+
+ENCAPSULATION = b'\x00\x01\x00\x00'  # plain CDR, little endian
+SECOND = 1_000_000_000  # [ns]
+
+
+def _string(text: str) -> bytes:
+    """Return a string with its length; offsets count from after the encapsulation."""
+    content = text.encode() + b'\x00'
+    return struct.pack('<I', len(content)) + content
+
+
+def _header(ns: int, frame_id: str, align: int) -> bytes:
+    """Return a std_msgs/Header, padded so that what follows is aligned to a size [bytes]."""
+    head = struct.pack('<iI', ns // SECOND, ns % SECOND) + _string(frame_id)
+    return head + bytes(-len(head) % align)
+
+
+def encode_poses(ns: int, frame_id: str, position: np.ndarray, heading: np.ndarray) -> bytes:
+    """Return a geometry_msgs/PoseArray; position (K, 2) m, heading (K, 2) unit vectors."""
+    head = _header(ns, frame_id, 4) + struct.pack('<I', len(position))
+    poses = np.zeros((len(position), 7), '<f8')
+    poses[:, :2] = position
+    way = heading.astype(np.float64)
+    half = np.arctan2(way[:, 1], way[:, 0]) / 2
+    poses[:, 5], poses[:, 6] = np.sin(half), np.cos(half)
+    return ENCAPSULATION + head + bytes(-len(head) % 8) + poses.tobytes()
+
+
+def encode_goal(ns: int, frame_id: str, x: float, y: float) -> bytes:
+    """Return a geometry_msgs/PoseStamped at x, y [m], not turned."""
+    pose = struct.pack('<7d', x, y, 0.0, 0.0, 0.0, 0.0, 1.0)
+    return ENCAPSULATION + _header(ns, frame_id, 8) + pose
+
+
+def encode_scan(
+    ns: int, frame_id: str, ranges: np.ndarray, range_max: float, scan_time: float
+) -> bytes:
+    """Return ranges (R,) m of a full circle from +x as sensor_msgs/LaserScan; +inf for none."""
+    pitch = 2 * np.pi / len(ranges)
+    last = (len(ranges) - 1) * pitch
+    head = struct.pack('<7fI', 0.0, last, pitch, 0.0, scan_time, 0.0, range_max, len(ranges))
+    values = np.ascontiguousarray(ranges, '<f4').tobytes()
+    return ENCAPSULATION + _header(ns, frame_id, 4) + head + values + struct.pack('<I', 0)
+
+
+def encode_twist(x: float, y: float) -> bytes:
+    """Return a geometry_msgs/Twist with a velocity in the plane [m/s]."""
+    return ENCAPSULATION + struct.pack('<6d', x, y, 0.0, 0.0, 0.0, 0.0)
+
+
+def encode_command(ns: int, frame_id: str, x: float, y: float) -> bytes:
+    """Return a geometry_msgs/TwistStamped with a velocity in the plane [m/s]."""
+    return ENCAPSULATION + _header(ns, frame_id, 8) + encode_twist(x, y)[4:]
+
+
+def encode_text(text: str) -> bytes:
+    """Return a std_msgs/String."""
+    return ENCAPSULATION + _string(text)
+
+
+def encode_clock(ns: int) -> bytes:
+    """Return a rosgraph_msgs/Clock."""
+    return ENCAPSULATION + struct.pack('<iI', ns // SECOND, ns % SECOND)
+
+
+def encode_number(value: float) -> bytes:
+    """Return a std_msgs/Float64."""
+    return ENCAPSULATION + struct.pack('<d', value)
