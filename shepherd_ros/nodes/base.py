@@ -91,6 +91,10 @@ class ShepherdNode(Node):
         """Return seconds of a wall clock that never jumps."""
         return float(self.steady.now().nanoseconds) * 1e-9
 
+    def end(self) -> int:
+        """Finish what was begun and return the exit code of the process."""
+        return 0
+
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return what to tell on /diagnostics."""
         return [self.status('node', OK, 'running')]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 import os
 import re
 import signal
@@ -75,8 +76,12 @@ def hide() -> None:
     set_logger_level('', LoggingSeverity.FATAL)
 
 
-def run(make_node: Callable[[], ShepherdNode], name: str, doc: str) -> int:
-    """Run one node as a process; return its exit code, 0 after SIGINT or SIGTERM."""
+def run(make_node: Callable[..., ShepherdNode], name: str, doc: str, options: Any = None) -> int:
+    """
+    Run one node as a process; return its exit code, that of node.end() after SIGINT or SIGTERM.
+
+    options is a dataclass that the words of the command line fill; the node is made with it.
+    """
     # rclpy's own handlers would end the context in the midst of a callback that publishes
     came: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -84,6 +89,8 @@ def run(make_node: Callable[[], ShepherdNode], name: str, doc: str) -> int:
     node = None
     try:
         words = remove_ros_args(sys.argv)[1:]
+        if options is not None:
+            make_node, words = partial(make_node, from_words(options, name, words)), []
         strange = [word for word in words if word not in ('-h', '--help')]
         if strange:
             raise ConfigError(
@@ -99,6 +106,7 @@ def run(make_node: Callable[[], ShepherdNode], name: str, doc: str) -> int:
         else:
             warn_of_unknown(node)
             spin([node], until=lambda: own.finished or bool(came))
+            return node.end()
     except (ConfigError, ParameterException) as error:
         print(f'{name}: {error}', file=sys.stderr)
         return USER_MISTAKE
@@ -113,6 +121,13 @@ def run(make_node: Callable[[], ShepherdNode], name: str, doc: str) -> int:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def from_words(options: Any, name: str, words: list[str]) -> Any:
+    """Return the options that the words of a command line ask for."""
+    import tyro  # only nodes with options need it
+
+    return tyro.cli(options, prog=name, args=words)
 
 
 def rcl_mistake(error: Exception) -> str | None:

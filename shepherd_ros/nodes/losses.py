@@ -1,0 +1,47 @@
+"""What a recorder did not get: gaps in the numbers of publications, and what DDS reports lost."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+
+class Losses:
+    """Counts lost messages per topic."""
+
+    def __init__(self) -> None:
+        """Start with none."""
+        self.gaps: Counter[str] = Counter()
+        self.drops: Counter[str] = Counter()
+        self.last: dict[str, int] = {}
+
+    def heard(self, topic: str, sequence: int | None, single: bool) -> None:
+        """
+        Take the number that a message has at its publisher; None if the middleware has none.
+
+        Only with a single publisher do the numbers follow each other. One that starts anew is
+        a publisher that was restarted.
+        """
+        before = self.last.pop(topic, None)
+        if sequence is None or not single:
+            return
+        self.last[topic] = sequence
+        if before is not None and sequence > before + 1:
+            self.gaps[topic] += sequence - before - 1
+
+    def dropped(self, topic: str, count: int) -> None:
+        """Take what DDS reports lost."""
+        self.drops[topic] += count
+
+    @property
+    def total(self) -> int:
+        """Return how many messages are known to be lost; both counts may mean the same ones."""
+        return sum(max(self.gaps[t], self.drops[t]) for t in {*self.gaps, *self.drops})
+
+    def report(self) -> list[str]:
+        """Return a line for each topic with losses."""
+        return [
+            f'{topic}: {self.gaps[topic]} missing in the numbering, {self.drops[topic]} reported '
+            'by DDS'
+            for topic in sorted({*self.gaps, *self.drops})
+            if self.gaps[topic] or self.drops[topic]
+        ]
