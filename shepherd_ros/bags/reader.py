@@ -64,6 +64,12 @@ class Bag:
         return next((metadata for metadata in noted if metadata is not None), None)
 
     @property
+    def noted_count(self) -> int | None:
+        """Return how many messages there are according to metadata.yaml, None without it."""
+        noted = self._metadata
+        return None if noted is None else sum(topic.count for topic in noted.topics)
+
+    @property
     def custom_data(self) -> dict[str, str]:
         """Return what the recorder wrote into the metadata for itself."""
         return self.metadata.custom_data if self.metadata else {}
