@@ -15,11 +15,16 @@ class UserError(Exception):
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a verb and return the exit code: 2 for a mistake of the user's, 130 for Ctrl-C."""
+    from shepherd_ros.cli.bag import BagVerbs
     from shepherd_ros.cli.demo import Demo
     from shepherd_ros.cli.evaluate import Evaluate
     import tyro
 
-    verbs: dict[str, Callable[..., Any]] = {'demo': Demo, 'evaluate': Evaluate}
+    verbs: dict[str, Callable[..., Any]] = {
+        'demo': Demo,
+        'evaluate': Evaluate,
+        'bag': BagVerbs,
+    }
     try:
         verb = tyro.extras.subcommand_cli_from_dict(
             verbs, prog='shepherd', description='Herd with robots.', args=arguments

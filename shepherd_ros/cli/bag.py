@@ -1,0 +1,131 @@
+"""Verbs bag info, check, recover, export and diff: bags without a ROS installation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+Bags = tyro.conf.Positional[Path]
+DIFFERENT = 1  # exit code of check and diff when something was found
+
+
+@dataclass
+class Info:
+    """Show what is in a bag: files, topics, episodes."""
+
+    bag: Bags
+    """Folder of a bag, or one .mcap file."""
+
+    def run(self) -> int:
+        """Print it."""
+        from shepherd_ros.bags.info import bag_info
+        from shepherd_ros.bags.reader import open_bag
+
+        print(bag_info(open_bag(self.bag)).text())
+        return 0
+
+
+@dataclass
+class Check:
+    """Tell whether every step of every episode is there; exit code 1 if not."""
+
+    bag: Bags
+    """Folder of a bag, or one .mcap file."""
+    require: tuple[Literal['scans', 'commands'], ...] = ()
+    """Parts that must have been recorded."""
+
+    def run(self) -> int:
+        """Print what was found, the first gap first."""
+        from shepherd_ros.bags.check import check_bag
+        from shepherd_ros.bags.reader import open_bag
+
+        result = check_bag(open_bag(self.bag), self.require)
+        print(result.text())
+        return 0 if result.ok else DIFFERENT
+
+
+@dataclass
+class Recover:
+    """Rewrite what can be read of a damaged bag into a new folder."""
+
+    bag: Bags
+    """Folder of a bag, or one .mcap file; it is not touched."""
+    output: Annotated[Path | None, tyro.conf.arg(aliases=['-o'])] = None
+    """New folder; by default beside the bag, with _recovered at its end."""
+    compression: Literal['none', 'zstd', 'lz4'] = 'none'
+    """Compression of the new bag."""
+
+    def run(self) -> int:
+        """Recover and print what was kept and lost."""
+        from shepherd_ros.bags.recover import recover
+
+        print(recover(self.bag, self.output, compression=self.compression).text())
+        return 0
+
+
+@dataclass
+class Export:
+    """Write episodes, states, scans and commands as tables."""
+
+    bag: Bags
+    """Folder of a bag, or one .mcap file."""
+    output: Annotated[Path, tyro.conf.arg(aliases=['-o'])]
+    """Folder of the tables."""
+    format: Literal['parquet', 'csv'] = 'parquet'
+    """Format of the tables."""
+    namespace: str | None = None
+    """Namespace of the stack, if the bag has several."""
+
+    def run(self) -> int:
+        """Export and print the tables."""
+        from shepherd_ros.bags.export import export_bag
+        from shepherd_ros.bags.reader import open_bag
+
+        tables = export_bag(open_bag(self.bag), self.output, self.format, self.namespace)
+        for table in tables.values():
+            print(f'{table.path}: {table.rows} rows')
+        return 0
+
+
+@dataclass
+class Diff:
+    """Compare the decoded content of two bags; exit code 1 if they differ."""
+
+    left: Bags
+    """Folder of a bag, or one .mcap file."""
+    right: Bags
+    """The other bag."""
+    times: bool = False
+    """Also compare the times of recording."""
+
+    def run(self) -> int:
+        """Print a line for each topic."""
+        from shepherd_ros.bags.diff import diff_bags
+        from shepherd_ros.bags.reader import open_bag
+
+        result = diff_bags(open_bag(self.left), open_bag(self.right), times=self.times)
+        print(result.text())
+        return 0 if result.equal else DIFFERENT
+
+
+Verb = (
+    Annotated[Info, tyro.conf.subcommand('info')]
+    | Annotated[Check, tyro.conf.subcommand('check')]
+    | Annotated[Recover, tyro.conf.subcommand('recover')]
+    | Annotated[Export, tyro.conf.subcommand('export')]
+    | Annotated[Diff, tyro.conf.subcommand('diff')]
+)
+
+
+@dataclass
+class BagVerbs:
+    """Look at bags, check, recover, export and compare them."""
+
+    verb: Annotated[Verb, tyro.conf.arg(name='')]
+
+    def run(self) -> int:
+        """Run the verb."""
+        return self.verb.run()

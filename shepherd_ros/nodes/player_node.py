@@ -1,0 +1,249 @@
+"""The player node: a bag back on its topics, at its pace."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event, Lock, Thread
+from typing import Annotated, Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters
+from rclpy.duration import Duration
+from rclpy.parameter import parameter_value_to_python
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from shepherd_ros.bags.encode import encode_clock
+from shepherd_ros.bags.qos import Qos
+from shepherd_ros.bags.reader import BagMessage, open_bag
+from shepherd_ros.config import ConfigError
+from shepherd_ros.nodes.base import message_type, OK, ShepherdNode
+from shepherd_ros.nodes.runtime import run
+from std_srvs.srv import SetBool
+import tyro
+
+CLOCK = '/clock'
+SECOND = 1_000_000_000  # [ns]
+LATCHED_LEAD = 0.2  # [s] that readers get to know the topics before the first message
+
+
+@dataclass(frozen=True)
+class PlayerOptions:
+    """Play a bag back on its topics."""
+
+    bag: tyro.conf.Positional[Path]
+    """Folder of a bag, or one .mcap file."""
+    rate: Annotated[float, tyro.conf.arg(aliases=['-r'])] = 1.0
+    """Pace; 2 is twice as fast."""
+    topics: tuple[str, ...] = ()
+    """Topics to play, all by default."""
+    start_offset: float = 0.0
+    """Begin so many seconds after the first message; what is latched is played all the same."""
+    until: float = 0.0
+    """End so many seconds after the first message; 0: at the end."""
+    loop: Annotated[bool, tyro.conf.arg(aliases=['-l'])] = False
+    """Begin anew at the end."""
+    clock: float = 0.0
+    """Publish /clock at this rate [Hz of wall time], if it is not among what is played."""
+    wait: float = 0.0
+    """Wait until every topic has a reader, at most so many seconds."""
+    start_paused: Annotated[bool, tyro.conf.arg(aliases=['-p'])] = False
+    """Begin paused."""
+
+    def check(self) -> None:
+        """Raise ConfigError for numbers that make no sense."""
+        if not self.rate > 0:
+            raise ConfigError(f'--rate is {self.rate}: expected more than 0, such as 1.0')
+        for name in ('start_offset', 'until', 'clock', 'wait'):
+            if not getattr(self, name) >= 0:
+                value = getattr(self, name)
+                raise ConfigError(f'--{name.replace("_", "-")} is {value}: expected 0 or more')
+
+
+class Player(ShepherdNode):
+    """Publishes the bytes that were recorded, in their order, at the times of the recording."""
+
+    def __init__(self, options: PlayerOptions, **kwargs: Any) -> None:
+        """Create the publishers; a thread plays."""
+        super().__init__('player', **kwargs)
+        options.check()
+        self.options = options
+        self.bag = open_bag(options.bag)
+        unknown = sorted(set(options.topics) - set(self.bag.topics))
+        if unknown:
+            raise ConfigError(
+                f'--topics has {", ".join(unknown)}: expected some of {", ".join(self.bag.topics)}'
+            )
+        self.names = [n for n in self.bag.topics if not options.topics or n in options.topics]
+        self.outputs: dict[str, Publisher] = {
+            name: self.create_publisher(message_type(topic.type), name, _quality(topic.qos))
+            for name, topic in self.bag.topics.items()
+            if name in self.names
+        }
+        self.latched = {n for n in self.names if _is_latched(self.bag.topics[n].qos)}
+        self.clock_output = None
+        if options.clock and CLOCK not in self.names:
+            self.clock_output = self.advertise(CLOCK)
+            self.timer(1 / options.clock, self.tell_time)
+        self.played = 0
+        self.lateness: list[float] = []  # [s] of each message
+        self.at_ns = self.bag.start_ns
+        self.steps = 0
+        self.running = Event()
+        if not options.start_paused:
+            self.running.set()
+        self.lock, self.stopped, self.woken = Lock(), Event(), Event()
+        self.failure = ''
+        self.create_service(SetBool, '~/pause', self.pause)
+        self.create_service(SetParameters, '~/step', self.step)
+        self.thread = Thread(target=self.play, daemon=True)
+        self.thread.start()
+
+    # ---- playing ----
+
+    def play(self) -> None:
+        """Play the bag, once or for ever."""
+        try:
+            self.await_readers()
+            again = True
+            while again and not self.stopped.is_set():
+                self.play_once()
+                again = self.options.loop
+        except ConfigError as error:
+            self.failure = str(error)
+        self.finished = True
+
+    def await_readers(self) -> None:
+        """Give readers time to come: what is latched waits for them by itself."""
+        limit = self.wall() + self.options.wait
+        while self.wall() < limit and not self.stopped.wait(0.02):
+            if all(o.get_subscription_count() for o in self.outputs.values()):
+                break
+        self.stopped.wait(LATCHED_LEAD)
+
+    def messages(self) -> Iterator[BagMessage]:
+        """Yield what is to be played: before the start only the last of what is latched."""
+        first = self.bag.start_ns
+        start = first + round(self.options.start_offset * SECOND)
+        end = first + round(self.options.until * SECOND) if self.options.until else None
+        if self.options.start_offset:
+            last = {
+                message.topic: message for message in self.bag.messages(self.latched, end_ns=start)
+            }
+            yield from last.values()
+        yield from self.bag.messages(self.names, start, end)
+
+    def play_once(self) -> None:
+        """Publish every message when it is due."""
+        begun, first = self.wall(), None
+        for message in self.messages():
+            if self.stopped.is_set():
+                return
+            if not self.running.is_set():
+                paused = self.wall()
+                self.await_go()
+                begun += self.wall() - paused
+            if first is None:
+                first = self.bag.start_ns + round(self.options.start_offset * SECOND)
+            due = begun + max(message.log_ns - first, 0) / SECOND / self.options.rate
+            wait = due - self.wall()
+            if wait > 0 and self.stopped.wait(wait):
+                return
+            self.at_ns = message.log_ns
+            self.outputs[message.topic].publish(message.data)
+            self.lateness.append(max(self.wall() - due, 0.0))
+            self.played += 1
+
+    def await_go(self) -> None:
+        """Wait until the pause is over, or for one message of those asked for by ~/step."""
+        while not self.stopped.is_set() and not self.running.is_set():
+            with self.lock:
+                if self.steps > 0:
+                    self.steps -= 1
+                    return
+            self.woken.wait(0.05)
+            self.woken.clear()
+
+    def tell_time(self) -> None:
+        """Publish the time of the bag."""
+        if self.clock_output is not None and self.played:
+            self.clock_output.publish(encode_clock(self.at_ns))
+
+    # ---- services, diagnostics, end ----
+
+    def pause(self, request: Any, response: Any) -> Any:
+        """Pause on true, go on on false."""
+        if request.data:
+            self.running.clear()
+        else:
+            self.running.set()
+        self.woken.set()
+        response.success, response.message = True, 'paused' if request.data else 'playing'
+        return response
+
+    def step(self, request: Any, response: Any) -> Any:
+        """Play n messages (integer, 1 by default), then pause."""
+        given = {p.name: parameter_value_to_python(p.value) for p in request.parameters}
+        n = given.pop('n', 1)
+        good = not given and type(n) is int and n > 0
+        if good:
+            self.running.clear()
+            with self.lock:
+                self.steps += n
+            self.woken.set()
+        reason = f'{n} messages, then paused' if good else (
+            f'step: argument {given or n!r}: expected n, an integer of at least 1'
+        )  # fmt: skip
+        result = SetParametersResult(successful=good, reason=reason)
+        response.results = [result] * max(len(request.parameters), 1)
+        return response
+
+    def diagnose(self) -> list[DiagnosticStatus]:
+        """Return how far the bag has come."""
+        state = 'playing' if self.running.is_set() else 'paused'
+        elapsed = (self.at_ns - self.bag.start_ns) / SECOND
+        return [
+            self.status(
+                'player', OK, state, bag=self.bag.path, messages=self.played, seconds=elapsed
+            )
+        ]
+
+    def end(self) -> int:
+        """Stop the thread and say what was played and how late."""
+        self.stopped.set()
+        self.thread.join(2.0)
+        for output in self.outputs.values():
+            output.wait_for_all_acked(Duration(seconds=0.5))
+        if self.failure:
+            print(f'player: {self.failure}')
+            return 2
+        late = sorted(self.lateness) or [0.0]
+        half, most = late[len(late) // 2], late[min(len(late) - 1, round(0.99 * len(late)))]
+        print(
+            f'{self.played} messages of {len(self.names)} topics; '
+            f'late by {half * 1e3:.2f} ms (p50), {most * 1e3:.2f} ms (p99)'
+        )
+        return 0
+
+
+def _is_latched(qos: tuple[Qos, ...]) -> bool:
+    """Return whether all recorded publishers were transient local."""
+    return bool(qos) and all(q.durability == 'transient_local' for q in qos)
+
+
+def _quality(qos: tuple[Qos, ...]) -> QoSProfile:
+    """Return the recorded quality of service, rosbag2's default if publishers disagreed."""
+    best_effort = bool(qos) and all(q.reliability == 'best_effort' for q in qos)
+    latched = _is_latched(qos)
+    return QoSProfile(
+        depth=max([q.depth for q in qos] or [0]) or (1 if latched else 100),
+        reliability=(ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE),
+        durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE),
+    )
+
+
+def main() -> int:
+    """Play a bag back on its topics."""
+    return run(Player, 'player', main.__doc__ or '', PlayerOptions)
