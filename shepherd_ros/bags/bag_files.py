@@ -57,6 +57,7 @@ class BagFiles:
         self._done: list[FileInfo] = []
         self._counts: Counter[str] = Counter()  # in finished files
         self._file: McapFile | None = None
+        self._empty = 0  # [bytes] of the file without any message
         folder.mkdir(parents=True)
         try:
             self._begin()
@@ -71,6 +72,11 @@ class BagFiles:
         """Return the file being written."""
         assert self._file is not None
         return self._file
+
+    @property
+    def written(self) -> int:
+        """Return how many bytes of messages are in the file being written, before packing."""
+        return self.file.size - self._empty
 
     @property
     def count(self) -> int:
@@ -121,6 +127,7 @@ class BagFiles:
         self._note_metadata()
         for name in self.topics:
             self._register(name)
+        self._empty = self._file.size
 
     def _register(self, name: str) -> None:
         topic = self.topics[name]

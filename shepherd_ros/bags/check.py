@@ -187,7 +187,10 @@ def _check_group(
     info, last = group.info, group.last_step
     result.episodes += 1
     result.steps += sum(1 for s in group.states.values() if s.sheep and s.shepherds)
+    final = group.states.get(last, State())
     whole = last == info.episode_steps
+    if following is None:  # the recording may have ended within a state
+        whole = whole and not any(expected.missing(final, info.n_shepherds, answered=False))
     # a world that was told to begin anew goes on with the next stamp
     told = following is None or following.info.start_ns == info.start_ns + (last + 1) * info.dt_ns
     if not whole:

@@ -30,7 +30,7 @@ SCHEMAS = {
          ('config', pa.string())]
     ),
     'states': pa.schema(
-        [*_KEY, ('kind', pa.string()), ('agent', pa.int64()), *_XY, *_HEADING, *_GOAL]
+        [*_KEY, ('kind', pa.string()), ('index', pa.int64()), *_XY, *_HEADING, *_GOAL]
     ),
     'scans': pa.schema(
         [*_KEY, ('shepherd', pa.int64()), *((c, pa.list_(pa.float32())) for c in CHANNELS)]
@@ -88,13 +88,13 @@ def export_bag(
 def tables(index: int, episode: Episode) -> dict[str, pa.Table]:
     """Return the rows of one episode in each table."""
     frames = episode.frames
-    agents = [('sheep', k) for k in range(episode.n_sheep)]
-    agents += [('shepherd', k) for k in range(episode.n_shepherds)]
+    members = [('sheep', k) for k in range(episode.n_sheep)]
+    members += [('shepherd', k) for k in range(episode.n_shepherds)]
     place = np.concatenate([np.zeros((0, 2))] + [_both(f.sheep, f.shepherds) for f in frames])
     heading = np.concatenate(
         [np.zeros((0, 2))] + [_both(f.sheep_heading, f.shepherd_heading) for f in frames]
     )
-    goal = np.array([_goal(frame) for frame in frames]).reshape(-1, 2).repeat(len(agents), axis=0)
+    goal = np.array([_goal(frame) for frame in frames]).reshape(-1, 2).repeat(len(members), axis=0)
     scanned = [(f, h, s) for f in frames for h, s in enumerate(f.scans) if s is not None]
     answered = [(f, h, c) for f in frames for h, c in enumerate(f.commands) if c is not None]
     columns: dict[str, dict[str, Any]] = {
@@ -110,9 +110,9 @@ def tables(index: int, episode: Episode) -> dict[str, pa.Table]:
             },
         },
         'states': {
-            **_key(index, [frame for frame in frames for _ in agents]),
-            'kind': [kind for kind, _ in agents] * len(frames),
-            'agent': [number for _, number in agents] * len(frames),
+            **_key(index, [frame for frame in frames for _ in members]),
+            'kind': [kind for kind, _ in members] * len(frames),
+            'index': [number for _, number in members] * len(frames),
             'x': place[:, 0], 'y': place[:, 1],
             'heading_x': heading[:, 0], 'heading_y': heading[:, 1],
             'goal_x': goal[:, 0], 'goal_y': goal[:, 1],

@@ -14,6 +14,7 @@ import yaml
 
 INFINITE = (9223372036, 854775807)  # s, ns
 LARGEST = 16 << 20  # [bytes] of metadata that are worth reading
+DEEPEST = 30  # levels of nested lists and maps; rosbag2 has 8
 # words of a policy by the numbers that versions up to 8 have
 WORDS = {
     'history': ('system_default', 'keep_last', 'keep_all', 'unknown'),
@@ -52,9 +53,22 @@ def load_yaml(text: str, path: Path) -> Any:
     try:
         if len(text) > LARGEST:
             raise ValueError(f'{len(text)} characters: expected at most {LARGEST}')
+        _check_nesting(text)
         return yaml.load(text, Loader=_LOADER)
     except (yaml.YAMLError, ValueError, TypeError, OverflowError, RecursionError) as error:
         raise BagError(path, f'its metadata is no YAML ({line_of(error)})') from error
+
+
+def _check_nesting(text: str) -> None:
+    """Refuse what would make the loader run out of stack or of memory; raises ValueError."""
+    depth = 0
+    for event in yaml.parse(text, Loader=_LOADER):
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+        if depth > DEEPEST or isinstance(event, yaml.AliasEvent):
+            raise ValueError(f'an alias, or more than {DEEPEST} levels')
 
 
 def line_of(error: Exception) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import replace
 from functools import cached_property
 import heapq
+import os
 from pathlib import Path
 import re
 from typing import NamedTuple
@@ -186,7 +187,7 @@ def read_metadata(path: Path) -> Metadata:
     """Return what a metadata.yaml says; raises BagError."""
     try:
         with path.open('rb') as file:
-            data = file.read(LARGEST + 1)
+            data = file.read(min(os.fstat(file.fileno()).st_size, LARGEST) + 1)
     except OSError as error:
         raise unreadable(path, error) from error
     fix = f'run `shepherd bag recover {path.parent}` to write it again'

@@ -114,10 +114,8 @@ class Storage:
     def _open(self, file: BinaryIO) -> None:
         self.size = check_magic(file, self.path)
         footer, summary_start, crc = self._footer(file)
-        if summary_start:
-            self._read_summary(file, summary_start, footer, crc)
-        indexed = {ref.offset for ref in self.chunks}
-        if not summary_start or (self.count and not indexed) or not self.channels:
+        told = bool(summary_start) and self._read_summary(file, summary_start, footer, crc)
+        if not told or (self.count and not self.chunks) or not self.channels:
             self._scan(file, summary_start or footer)
         self._check()
         if self._notes:
@@ -137,7 +135,9 @@ class Storage:
             raise DamageError(start, f'a summary at {summary_start}')
         return start, summary_start, crc
 
-    def _read_summary(self, file: BinaryIO, start: int, end: int, crc: int) -> None:
+    def _read_summary(self, file: BinaryIO, start: int, end: int, crc: int) -> bool:
+        """Take what the summary says; return whether it says how many messages there are."""
+        counted = False
         # the checksum includes the footer up to itself
         data = read_at(file, start, end - start + PREFIX.size + 16)
         if crc and zlib.crc32(data) != crc:
@@ -146,6 +146,7 @@ class Storage:
             begin = record.body - start
             item = parse(record.opcode, data[begin : begin + record.length], record.offset)
             if isinstance(item, Statistics):
+                counted = True
                 self.counts.update(item.channel_message_counts)
                 self.start_ns, self.end_ns = item.message_start_time, item.message_end_time
             elif isinstance(item, ChunkIndex):
@@ -154,6 +155,7 @@ class Storage:
                 self._notes.append(item)
             else:
                 self._define(item)
+        return counted
 
     def _define(self, item: Any) -> None:
         if isinstance(item, Schema):

@@ -162,7 +162,7 @@ class BagWriter:
         if self.closed or first is None:
             return False
         late = self.split_ns and log_ns - first > self.split_ns
-        return bool(late or 0 < self.split_bytes <= self._files.file.size)
+        return bool(late or 0 < self.split_bytes <= self._files.written)
 
     def _keep_episode(self, topic: str, cdr: bytes) -> None:
         """Take the first episode into the metadata of a bag of ours."""
