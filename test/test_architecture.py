@@ -38,10 +38,10 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
         {'numpy', 'tensorboard', 'torch'},
     ),
     'evaluation': (
-        {'config', 'sim', 'controllers', 'policy'},
+        {'bags', 'config', 'controllers', 'policy', 'sim', 'topics'},
         {'matplotlib', 'numpy', 'torch'},
     ),
-    'view': ({'config', 'share', 'sim'}, {'PIL', 'imageio', 'matplotlib', 'numpy'}),
+    'view': ({'config', 'share', 'sim'}, {'PIL', 'imageio', 'matplotlib', 'numpy', 'plotly'}),
     'nodes': (
         {'config', 'share', 'topics', 'stack', 'sim', 'controllers', 'policy', 'bags'},
         {'numpy', 'rclpy', 'torch', 'yaml'},
@@ -62,7 +62,7 @@ IMPURE = {
 GLOBAL_TOPICS = {'/clock', '/diagnostics', '/tf'}  # whose names ROS 2 fixes
 LONGEST_FILE, LONGEST_SCRIPT = 300, 39  # lines
 ROSDEP = {'PIL': 'python3-pil'}  # where the key of rosdep is not python3-<package>
-WITH_PIP = {'imageio', 'numba', 'torch', 'tyro'}  # not from rosdep
+WITH_PIP = {'imageio', 'numba', 'plotly', 'torch', 'tyro'}  # not from rosdep
 PYPI = {'PIL': 'pillow', 'yaml': 'pyyaml'}  # where the distribution has another name
 
 
@@ -356,6 +356,18 @@ def test_whatever_lies_beside_the_code_is_installed(distribution: Any) -> None:
         for name in names:
             inside = name.startswith(('launch', 'config', 'msg_schemas'))
             assert not inside or folder == f'share/shepherd_ros/{Path(name).parent.as_posix()}'
+
+
+def test_whatever_lies_among_the_code_is_installed(distribution: Any) -> None:
+    patterns = {
+        f'{package.replace(".", "/")}/{pattern}'
+        for package, names in distribution.package_data.items()
+        for pattern in names
+    }
+    for path in tracked():
+        if path.is_relative_to(CODE) and path.suffix != '.py':
+            place = path.relative_to(ROOT)
+            assert any(place.match(pattern) for pattern in patterns), place
 
 
 def test_hooks_and_workflow_are_what_they_seem() -> None:

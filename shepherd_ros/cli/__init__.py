@@ -18,11 +18,13 @@ def main(arguments: list[str] | None = None) -> int:
     from shepherd_ros.cli.bag import BagVerbs
     from shepherd_ros.cli.demo import Demo
     from shepherd_ros.cli.evaluate import Evaluate
+    from shepherd_ros.cli.record import Record
     import tyro
 
     verbs: dict[str, Callable[..., Any]] = {
         'demo': Demo,
         'evaluate': Evaluate,
+        'record': Record,
         'bag': BagVerbs,
     }
     try:
