@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 import json
 from pathlib import Path
@@ -77,7 +77,8 @@ def export_bag(
                     rows[name] += table.num_rows
     except BaseException as error:
         for path in paths.values():
-            path.unlink(missing_ok=True)
+            with suppress(OSError):
+                path.unlink()
         if isinstance(error, OSError):
             what = f'it cannot be written ({error.strerror or error})'
             raise BagError(folder, what, 'free space or choose another folder') from error
