@@ -32,24 +32,31 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
     'sim/kernels': ({'config'}, {'numba', 'numpy', 'torch'}),
     'policy': ({'config'}, {'safetensors', 'torch'}),
     'controllers': ({'config', 'sim', 'policy'}, {'torch'}),
-    'bags': ({'config', 'share', 'topics'}, {'mcap', 'numpy', 'rosbags', 'yaml'}),
+    'episode': ({'config', 'sim'}, set()),
+    'bags': (
+        {'config', 'share', 'topics'},
+        {'lz4', 'mcap', 'numpy', 'pyarrow', 'rosbags', 'yaml', 'zstandard'},
+    ),
     'learning': (
         {'config', 'sim', 'controllers', 'policy', 'bags'},
         {'numpy', 'tensorboard', 'torch'},
     ),
     'evaluation': (
-        {'bags', 'config', 'controllers', 'policy', 'sim', 'topics'},
+        {'bags', 'config', 'controllers', 'episode', 'policy', 'sim', 'topics'},
         {'matplotlib', 'numpy', 'torch'},
     ),
     'view': ({'config', 'share', 'sim'}, {'PIL', 'imageio', 'matplotlib', 'numpy', 'plotly'}),
     'nodes': (
-        {'config', 'share', 'topics', 'stack', 'sim', 'controllers', 'policy', 'bags'},
-        {'numpy', 'rclpy', 'torch', 'yaml'},
+        {
+            'config', 'share', 'topics', 'stack', 'sim', 'controllers', 'policy', 'bags',
+            'episode',
+        },
+        {'numpy', 'rclpy', 'torch', 'tyro', 'yaml'},
     ),
     'cli': (
         {
             'config', 'share', 'topics', 'stack', 'sim', 'controllers', 'policy', 'bags',
-            'learning', 'evaluation', 'view', 'nodes',
+            'episode', 'learning', 'evaluation', 'view', 'nodes',
         },
         {'numpy', 'rich', 'torch', 'tyro', 'yaml'},
     ),

@@ -19,8 +19,8 @@ from shepherd_ros.bags.schemas import (
     wire_types,
 )
 from shepherd_ros.config import ConfigError
+from shepherd_ros.episode import Episode
 from shepherd_ros.share import share_file
-from shepherd_ros.sim.episode import Episode
 from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.presets import PRESETS, world_preset
 from shepherd_ros.topics import contract

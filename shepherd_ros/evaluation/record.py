@@ -19,9 +19,9 @@ from shepherd_ros.bags.encode import (
 from shepherd_ros.bags.qos import Qos
 from shepherd_ros.bags.writer import BagWriter
 from shepherd_ros.controllers.base import Controller
+from shepherd_ros.episode import Episode
 from shepherd_ros.sim import transition
 from shepherd_ros.sim.env import EnvConfig
-from shepherd_ros.sim.episode import Episode
 from shepherd_ros.sim.lidar import CHANNELS, scan
 from shepherd_ros.sim.metrics import count_step, METRICS, metrics, start_tally
 from shepherd_ros.sim.perception import perceive

@@ -8,10 +8,10 @@ import math
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from shepherd_ros.episode import Episode
 from shepherd_ros.nodes.base import ERROR, nanoseconds, OK, ShepherdNode, WARN
 from shepherd_ros.nodes.commands import CommandBuffer
 from shepherd_ros.nodes.messages import LARGEST_FLOAT32, velocity_of
-from shepherd_ros.sim.episode import Episode
 
 THROTTLE = 5.0  # [s] between two warnings of one kind
 

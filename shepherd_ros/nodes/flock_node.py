@@ -9,6 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from shepherd_ros.config import ConfigError
+from shepherd_ros.episode import Episode
 from shepherd_ros.nodes.base import OK, ShepherdNode, WARN
 from shepherd_ros.nodes.command_gate import CommandGate
 from shepherd_ros.nodes.flock_services import FlockServices, LARGEST_SEED
@@ -16,7 +17,6 @@ from shepherd_ros.nodes.parameters import declare
 from shepherd_ros.nodes.runtime import run
 from shepherd_ros.nodes.world_options import declare_world
 from shepherd_ros.nodes.world_output import WorldOutput
-from shepherd_ros.sim.episode import Episode
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import step

@@ -9,11 +9,11 @@ from rclpy.publisher import Publisher
 from shepherd_ros.bags.encode import encode_command, encode_twist
 from shepherd_ros.controllers import controller_type
 from shepherd_ros.controllers.base import Controller, Memory
+from shepherd_ros.episode import Episode
 from shepherd_ros.nodes.base import OK, ShepherdNode, WARN
 from shepherd_ros.nodes.listener import Listener
 from shepherd_ros.nodes.parameters import declare_config
 from shepherd_ros.nodes.runtime import run
-from shepherd_ros.sim.episode import Episode
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.state import WorldState
 import torch

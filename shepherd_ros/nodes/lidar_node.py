@@ -7,12 +7,12 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from shepherd_ros.bags.encode import encode_scan
 from shepherd_ros.config import ConfigError
+from shepherd_ros.episode import Episode
 from shepherd_ros.nodes.base import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.nodes.listener import Listener
 from shepherd_ros.nodes.markers import ray_markers
 from shepherd_ros.nodes.parameters import declare_config
 from shepherd_ros.nodes.runtime import run
-from shepherd_ros.sim.episode import Episode
 from shepherd_ros.sim.lidar import CHANNELS, LidarConfig, scan
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.state import WorldState

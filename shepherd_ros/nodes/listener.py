@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from shepherd_ros.config import ConfigError
+from shepherd_ros.episode import Episode
 from shepherd_ros.nodes.base import ShepherdNode
 from shepherd_ros.nodes.messages import decode_poses
-from shepherd_ros.sim.episode import Episode
 from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor

@@ -6,10 +6,10 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from shepherd_ros.bags.encode import encode_number
+from shepherd_ros.episode import Episode
 from shepherd_ros.nodes.base import OK, ShepherdNode, WARN
 from shepherd_ros.nodes.listener import Listener
 from shepherd_ros.nodes.runtime import run
-from shepherd_ros.sim.episode import Episode
 from shepherd_ros.sim.metrics import (
     count_step,
     METRICS,

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import rclpy
+from shepherd_ros.episode import Episode
 from shepherd_ros.nodes.base import nanoseconds, ShepherdNode
 from shepherd_ros.nodes.listener import Listener
 from shepherd_ros.nodes.runtime import make_executor
-from shepherd_ros.sim.episode import Episode
 from shepherd_ros.sim.lidar import CHANNELS
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.state import stack, WorldState

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from rclpy.duration import Duration
 from shepherd_ros.bags.encode import encode_clock, encode_goal, encode_poses, encode_text
+from shepherd_ros.episode import Episode
 from shepherd_ros.nodes.base import ShepherdNode
 from shepherd_ros.nodes.markers import world_markers
 from shepherd_ros.nodes.transforms import TransformOutput
-from shepherd_ros.sim.episode import Episode
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import unit
 

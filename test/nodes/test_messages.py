@@ -27,6 +27,7 @@ from shepherd_ros.bags.encode import (
     encode_twist,
 )
 from shepherd_ros.config import ConfigError
+from shepherd_ros.episode import Episode
 from shepherd_ros.nodes.base import nanoseconds, stamp
 from shepherd_ros.nodes.commands import CommandBuffer
 from shepherd_ros.nodes.messages import (
@@ -34,7 +35,6 @@ from shepherd_ros.nodes.messages import (
     velocity_of,
 )
 from shepherd_ros.nodes.parameters import checked, descriptor
-from shepherd_ros.sim.episode import Episode
 from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.lidar import TOUCHING
 from shepherd_ros.sim.presets import PRESETS, training_world, world_preset

@@ -10,7 +10,7 @@ from geometry_msgs.msg import PoseStamped
 from nodes.process import assert_same_states, Graph, LATCHED, nanoseconds, Track
 import pytest
 from shepherd_ros.controllers import make_controller
-from shepherd_ros.sim.episode import Episode
+from shepherd_ros.episode import Episode
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.transition import step
 from shepherd_ros.sim.world import WorldConfig
