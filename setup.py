@@ -31,6 +31,7 @@ setup(
     name=NAME,
     version=MANIFEST.findtext('version'),
     packages=find_packages(exclude=['test', 'test.*']),
+    package_data={f'{NAME}.view': ['page*.css', 'page*.html', 'page*.js']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -51,6 +52,7 @@ setup(
         'mcap',
         'numpy',
         'pillow',
+        'plotly',
         'pyarrow',
         'pyyaml',
         'rich',
@@ -76,6 +78,7 @@ setup(
             'pytest-timeout',
             'pytest-xdist',
             'ruff',
+            'selenium',
             'setuptools<80',
             'types-PyYAML',
         ],

@@ -1,1 +1,1 @@
-"""Pictures and animations of episodes; needs numpy and matplotlib, neither torch nor ROS."""
+"""Pictures, animations and pages of episodes; neither torch nor ROS is needed."""

@@ -1,0 +1,108 @@
+"""A browser, and somebody who reads a page in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+import shutil
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+from selenium import webdriver
+from selenium.webdriver import ActionChains
+from selenium.webdriver.common.by import By
+from selenium.webdriver.remote.webelement import WebElement
+
+CHROMIUMS = ('chromium', 'chromium-browser', 'google-chrome')
+FLAGS = (
+    '--headless', '--no-sandbox', '--disable-gpu', '--no-first-run',
+    '--disable-background-networking', '--disable-component-update', '--disable-sync',
+    '--disable-dev-shm-usage', '--window-size=1280,800',
+)  # fmt: skip
+PATIENCE = 20.0  # [s] for anything to happen
+PIXEL = """
+const [x, y, beside] = arguments, box = document.getElementById('plane');
+const {xaxis, yaxis} = box._fullLayout, dots = window.devicePixelRatio;
+const column = xaxis._offset + xaxis.d2p(x) + beside, row = yaxis._offset + yaxis.d2p(y);
+const one = new OffscreenCanvas(1, 1).getContext('2d', {willReadFrequently: true});
+one.drawImage(box.querySelector('canvas'), -Math.floor(column * dots), -Math.floor(row * dots));
+return Array.from(one.getImageData(0, 0, 1, 1).data);
+"""
+GO = """
+const slider = document.getElementById('scrub');
+slider.value = arguments[0];
+slider.dispatchEvent(new Event('input'));
+"""
+
+
+def chromium(profile: Path) -> webdriver.Chrome:
+    """Start a browser that keeps what it must remember in a folder."""
+    browser = next(filter(None, map(shutil.which, CHROMIUMS)), None)
+    driver = shutil.which('chromedriver')
+    if not (browser and driver):
+        pytest.fail('chromium and chromedriver are not both installed: run `make browser`')
+    options = webdriver.ChromeOptions()
+    options.binary_location = browser
+    for flag in (*FLAGS, f'--user-data-dir={profile}'):
+        options.add_argument(flag)
+    options.set_capability('goog:loggingPrefs', {'browser': 'ALL'})
+    return webdriver.Chrome(options, webdriver.ChromeService(driver))
+
+
+class Reader:
+    """Somebody who has a page open."""
+
+    def __init__(self, driver: webdriver.Chrome) -> None:
+        self.driver = driver
+
+    def open(self, path: Path) -> None:
+        self.driver.get(path.as_uri())
+        self.until(lambda: self.run('return document.body.dataset.ready') == 'yes', 'it is ready')
+
+    def run(self, script: str, *arguments: object) -> Any:
+        return self.driver.execute_script(script, *arguments)
+
+    def find(self, selector: str) -> WebElement:
+        return self.driver.find_element(By.CSS_SELECTOR, selector)
+
+    def until(self, done: Callable[[], bool], what: str) -> None:
+        limit = time.monotonic() + PATIENCE
+        while not done():
+            assert time.monotonic() < limit, f'waited {PATIENCE} s until {what}'
+            time.sleep(0.02)
+
+    def press(self, *keys: str) -> None:
+        ActionChains(self.driver).send_keys(*keys).perform()
+
+    def point(self, x: float, y: float) -> ActionChains:
+        """Return the actions of pointing at a place in the window, in px."""
+        actions = ActionChains(self.driver)
+        actions.w3c_actions.pointer_action.move_to_location(round(x), round(y))
+        return actions
+
+    def go(self, step: int) -> None:
+        """Put the slider on a step."""
+        self.run(GO, step)
+
+    def step(self) -> int:
+        return int(self.find('#scrub').get_property('value'))
+
+    def traces(self) -> list[np.ndarray]:
+        """Return where the traces have sheep and shepherds, (N, 2) and (H, 2) m."""
+        both = self.run("return document.getElementById('plane').data.map((t) => [t.x, t.y])")
+        return [np.array(places, dtype=float).T.reshape(-1, 2) for places in both]
+
+    def shows(self, places: list[np.ndarray]) -> bool:
+        """Return whether the traces are at places, but for what is rounded."""
+        pairs = zip(self.traces(), places, strict=True)
+        return all(a.shape == b.shape and np.allclose(a, b, atol=0.001) for a, b in pairs)
+
+    def color(self, place: np.ndarray, beside: float = 0) -> str:
+        """Return the colour painted at a place in metres, px to its right; '' where none is."""
+        *rgb, alpha = self.run(PIXEL, float(place[0]), float(place[1]), beside)
+        return '#{:02X}{:02X}{:02X}'.format(*rgb) if alpha == 255 else ''
+
+    def complaints(self) -> list[str]:
+        return [entry['message'] for entry in self.driver.get_log('browser')]
