@@ -1,0 +1,189 @@
+"""The verbs of `shepherd bag`: what they print, their exit codes, and that no bag is touched."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import hashlib
+from pathlib import Path
+
+from bags.tiny import EPISODES, N_SHEEP, N_SHEPHERDS, recording, STEPS, tiny_bag, without, write
+from pyarrow import csv, parquet
+import pytest
+from shepherd_ros.bags.diff import diff_bags
+from shepherd_ros.bags.reader import open_bag
+from shepherd_ros.cli import main
+
+MESSAGES = recording()[0]
+STATES = EPISODES * (STEPS + 1)
+Said = tuple[int, str, str]
+
+
+def prints(folder: Path) -> dict[str, str]:
+    """Return a digest of each file in a folder."""
+    return {
+        str(path): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob('*'))
+        if path.is_file()
+    }
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    """Write the tiny recording."""
+    return tiny_bag(tmp_path / 'bag')
+
+
+@pytest.fixture
+def shepherd(capsys: pytest.CaptureFixture[str]) -> Callable[..., Said]:
+    """Return what runs a verb: exit code, stdout and stderr."""
+
+    def run(*words: object) -> Said:
+        code = main(['bag', *map(str, words)])
+        said = capsys.readouterr()
+        return code, said.out, said.err
+
+    return run
+
+
+def test_info_tells_topics_and_episodes(bag: Path, shepherd: Callable[..., Said]) -> None:
+    before = prints(bag)
+    code, out, err = shepherd('info', bag)
+    assert (code, err) == (0, '')
+    assert 'bag_0.mcap' in out
+    assert f'Messages:          {len(MESSAGES)}' in out
+    assert f'Topic: /flock/poses | Type: geometry_msgs/msg/PoseArray | Count: {STATES} ' in out
+    assert out.count(f'States: {STEPS + 1} of {STEPS + 1} | whole') == EPISODES
+    assert prints(bag) == before
+
+
+def test_check_of_a_whole_bag_is_zero_and_of_a_gap_one(
+    bag: Path, tmp_path: Path, shepherd: Callable[..., Said]
+) -> None:
+    code, out, err = shepherd('check', bag, '--require', 'scans', 'commands')
+    assert (code, err) == (0, '')
+    assert out == f'{EPISODES} episodes, {STATES} states\nok\n'
+    holed = write(tmp_path / 'holed', without(MESSAGES, '/flock/poses', 2))
+    before = prints(holed)
+    code, out, _ = shepherd('check', holed)
+    assert code == 1
+    assert 'gap: episode 0, step 2' in out
+    assert out.endswith('not ok\n')
+    assert prints(holed) == before
+
+
+def test_check_requires_parts(tmp_path: Path, shepherd: Callable[..., Said]) -> None:
+    rows = [message for message in MESSAGES if '/scan/' not in message.topic]
+    blind = write(tmp_path / 'blind', rows)
+    assert shepherd('check', blind)[0] == 0
+    code, out, _ = shepherd('check', blind, '--require', 'scans')
+    assert code == 1
+    assert 'no scans were recorded' in out
+
+
+def test_recover_makes_a_new_bag_beside_the_torn_one(
+    tmp_path: Path, shepherd: Callable[..., Said]
+) -> None:
+    whole = tiny_bag(tmp_path / 'whole', chunk_size=4096)
+    torn = tiny_bag(tmp_path / 'torn', chunk_size=4096)
+    (torn / 'metadata.yaml').unlink()
+    file = torn / 'torn_0.mcap'
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    before = prints(torn)
+    assert shepherd('info', torn)[0] == 2
+    code, out, err = shepherd('recover', torn)
+    assert (code, err) == (0, '')
+    assert 'messages kept of 1 files' in out
+    assert prints(torn) == before
+    kept = [m.data for m in open_bag(tmp_path / 'torn_recovered').messages()]
+    assert kept == [m.data for m in open_bag(whole).messages()][: len(kept)]
+    assert 0 < len(kept) < len(MESSAGES)
+    code, _, err = shepherd('recover', torn)
+    assert code == 2
+    assert 'it exists already; choose another folder' in err
+
+
+@pytest.mark.parametrize('compression', ['none', 'zstd', 'lz4'])
+def test_recover_of_a_whole_bag_loses_nothing(
+    bag: Path, tmp_path: Path, shepherd: Callable[..., Said], compression: str
+) -> None:
+    words = ['recover', bag, '-o', tmp_path / 'new', '--compression', compression]
+    assert shepherd(*words)[0] == 0
+    assert diff_bags(open_bag(bag), open_bag(tmp_path / 'new'), times=True).equal
+    code, out, _ = shepherd('diff', bag, tmp_path / 'new', '--times')
+    assert code == 0
+    assert out.endswith('\nequal\n')
+
+
+@pytest.mark.parametrize('kind', ['parquet', 'csv'])
+def test_export_writes_tables(
+    bag: Path, tmp_path: Path, shepherd: Callable[..., Said], kind: str
+) -> None:
+    before, folder = prints(bag), tmp_path / 'tables'
+    code, out, err = shepherd('export', bag, '-o', folder, '--format', kind)
+    assert (code, err) == (0, '')
+    read = parquet.read_table if kind == 'parquet' else csv.read_csv
+    rows = {
+        'episodes': EPISODES,
+        'states': STATES * (N_SHEEP + N_SHEPHERDS),
+        'scans': STATES * N_SHEPHERDS,
+        'commands': STATES * N_SHEPHERDS,
+    }
+    for name, count in rows.items():
+        assert f'{folder / name}.{kind}: {count} rows' in out
+        assert read(folder / f'{name}.{kind}').num_rows == count
+    assert prints(bag) == before
+    code, _, err = shepherd('export', bag, '-o', folder, '--format', kind)
+    assert code == 2
+    assert 'it exists already' in err
+
+
+def test_export_names_the_namespaces(
+    bag: Path, tmp_path: Path, shepherd: Callable[..., Said]
+) -> None:
+    code, _, err = shepherd('export', bag, '-o', tmp_path / 'tables', '--namespace', '/farm')
+    assert code == 2
+    assert "namespace is '/farm'; expected one of ['']" in err
+    assert 'Traceback' not in err
+
+
+def test_diff_names_the_first_difference(
+    bag: Path, tmp_path: Path, shepherd: Callable[..., Said]
+) -> None:
+    assert shepherd('diff', bag, bag)[0] == 0
+    other = write(tmp_path / 'other', without(MESSAGES, '/shepherd_1/cmd_vel', 1))
+    code, out, _ = shepherd('diff', bag, other)
+    assert code == 1
+    assert f'/shepherd_1/cmd_vel: {STATES} and {STATES - 1} messages; number 1: ' in out
+    assert f'/flock/poses: {STATES} equal messages' in out
+    assert out.endswith('\ndifferent\n')
+    later = [m._replace(log_ns=m.log_ns + 1) for m in MESSAGES]
+    moved = write(tmp_path / 'moved', later)
+    assert shepherd('diff', bag, moved)[0] == 0
+    assert shepherd('diff', bag, moved, '--times')[0] == 1
+
+
+@pytest.mark.parametrize('verb', ['info', 'check', 'recover', 'export', 'diff'])
+@pytest.mark.parametrize('kind', ['missing', 'empty file', 'empty folder', 'text'])
+def test_what_is_no_bag_is_two_and_one_line(
+    bag: Path, tmp_path: Path, shepherd: Callable[..., Said], verb: str, kind: str
+) -> None:
+    path = tmp_path / 'none.mcap'
+    if kind == 'empty folder':
+        path.mkdir()
+    elif kind != 'missing':
+        path.write_text('' if kind == 'empty file' else 'no bag at all\n' * 100)
+    before = prints(tmp_path)
+    more = {'export': ['-o', tmp_path / 'tables'], 'diff': [bag]}.get(verb, [])
+    code, out, err = shepherd(verb, path, *more)
+    assert (code, out) == (2, '')
+    assert err.startswith(f'shepherd: {path}: ')
+    assert '; ' in err
+    assert err.count('\n') == 1
+    assert prints(tmp_path) == before
+
+
+def test_unknown_words_are_two() -> None:
+    for words in (['bag', 'burn'], ['bag', 'info'], ['bag', 'check', 'x', '--require', 'wool']):
+        with pytest.raises(SystemExit) as stop:
+            main(words)
+        assert stop.value.code == 2
