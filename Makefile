@@ -12,14 +12,14 @@ SEED ?= 0
 STEPS ?= 1000
 OUT ?= out/demo
 
-.PHONY: demo test setup lint table bench clean
+.PHONY: demo test setup lint table bench clean browser
 .DEFAULT_GOAL := demo
 
 demo: setup
 	$(BIN)/shepherd demo --controller $(CONTROLLER) --sheep $(SHEEP) --shepherds $(SHEPHERDS) \
 	  --flock $(FLOCK) --preset $(PRESET) --seed $(SEED) --steps $(STEPS) --out $(OUT)
 
-test: setup
+test: setup browser
 	$(BIN)/python -m pytest -n 2 --dist loadgroup
 
 setup: $(VENV)/.installed
@@ -28,6 +28,16 @@ $(VENV)/.installed: setup.py package.xml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[jazzy,fast,dev]'
 	touch $@
+
+browser:  # Chromium, in which the tests look at pages
+	@if ! { { command -v chromium || command -v chromium-browser || command -v google-chrome; } && \
+	    command -v chromedriver; } >/dev/null; then \
+	  as=; [ "$$(id -u)" = 0 ] || as=sudo; \
+	  { $$as apt-get update -q && \
+	    $$as apt-get install -q -y --no-install-recommends chromium chromium-driver; } || \
+	    { echo 'make browser: apt-get cannot install Chromium here; put chromium and' \
+	      'chromedriver on PATH' >&2; exit 1; }; \
+	fi
 
 lint: setup
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/codespell

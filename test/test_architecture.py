@@ -42,7 +42,7 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
         {'numpy', 'tensorboard', 'torch'},
     ),
     'evaluation': (
-        {'bags', 'config', 'controllers', 'episode', 'policy', 'sim', 'topics'},
+        {'bags', 'config', 'controllers', 'episode', 'policy', 'sim', 'topics', 'view'},
         {'matplotlib', 'numpy', 'torch'},
     ),
     'view': ({'config', 'share', 'sim'}, {'PIL', 'imageio', 'matplotlib', 'numpy', 'plotly'}),

@@ -1,4 +1,4 @@
-"""Verbs bag info, check, recover, export and diff: bags without a ROS installation."""
+"""Verbs bag info, check, recover, export, diff and render: bags without ROS."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+from shepherd_ros.cli import UserError
 import tyro
 
 Bags = tyro.conf.Positional[Path]
@@ -111,12 +112,69 @@ class Diff:
         return 0 if result.equal else DIFFERENT
 
 
+@dataclass
+class Render:
+    """Draw an episode of a bag: a picture, an animation and a page that replays it."""
+
+    bag: Bags
+    """Folder of a bag, or one .mcap file."""
+    output: Annotated[Path, tyro.conf.arg(aliases=['-o'])]
+    """Folder of tracks.png, herding.gif and replay.html."""
+    episode: int = 0
+    """Which episode of the bag, counted from 0."""
+    namespace: str | None = None
+    """Namespace of the stack, if the bag has several."""
+
+    def run(self) -> int:
+        """Draw and print what was written."""
+        from itertools import islice
+
+        from shepherd_ros.bags.episodes import iter_episodes
+        from shepherd_ros.bags.reader import open_bag
+        from shepherd_ros.evaluation.replay import (
+            metrics_over_time,
+            ranges_of,
+            states_of,
+            track_of,
+        )
+        from shepherd_ros.view.animation import animate
+        from shepherd_ros.view.page import write_page
+        from shepherd_ros.view.picture import draw_tracks
+
+        episodes = iter_episodes(open_bag(self.bag), self.namespace)
+        episode = next(islice(episodes, max(self.episode, 0), None), None)
+        if episode is None or not episode.frames:
+            raise UserError(
+                f'--episode is {self.episode}: expected an episode with states, counted from 0, '
+                f'as `shepherd bag info {self.bag}` lists them'
+            )
+        try:
+            self.output.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UserError(
+                f'--output is {self.output}: expected a folder ({error.strerror})'
+            ) from None
+        track = track_of(
+            episode, f'{self.bag.name}, episode {episode.number}, seed {episode.seed}'
+        )
+        curves = metrics_over_time(states_of(episode), episode.episode_steps)
+        shown = {k: curves[k] for k in ('fraction_in_goal', 'goal_distance', 'flock_spread')}
+        paths = [self.output / name for name in ('tracks.png', 'herding.gif', 'replay.html')]
+        draw_tracks(track, paths[0])
+        animate(track, paths[1])
+        write_page(track, shown, paths[2], ranges=ranges_of(episode))
+        for path in paths:
+            print(f'wrote {path}')
+        return 0
+
+
 Verb = (
     Annotated[Info, tyro.conf.subcommand('info')]
     | Annotated[Check, tyro.conf.subcommand('check')]
     | Annotated[Recover, tyro.conf.subcommand('recover')]
     | Annotated[Export, tyro.conf.subcommand('export')]
     | Annotated[Diff, tyro.conf.subcommand('diff')]
+    | Annotated[Render, tyro.conf.subcommand('render')]
 )
 
 

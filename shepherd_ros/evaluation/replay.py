@@ -1,0 +1,75 @@
+"""A recorded episode as states of the world and as something to look at."""
+
+from __future__ import annotations
+
+import numpy as np
+from shepherd_ros.bags.episodes import Episode
+from shepherd_ros.sim.metrics import count_step, METRICS, metrics, start_tally
+from shepherd_ros.sim.state import stack, WorldState
+from shepherd_ros.view.track import EpisodeTrack
+import torch
+
+
+def states_of(episode: Episode) -> WorldState:
+    """Return the recorded states as a batch (T); a goal that was not recorded is at 0, 0."""
+    states = []
+    radius = float(episode.config['goal_radius'])
+    for frame in episode.frames:
+        goal = np.zeros(2) if frame.goal is None else frame.goal
+        states.append(
+            WorldState(
+                seed=torch.tensor(episode.seed),
+                step=torch.tensor(frame.step),
+                sheep=_tensor(frame.sheep),
+                heading=_tensor(frame.sheep_heading),
+                sheep_mask=torch.ones(episode.n_sheep, dtype=torch.bool),
+                shepherds=_tensor(frame.shepherds),
+                shepherd_mask=torch.ones(episode.n_shepherds, dtype=torch.bool),
+                goal=_tensor(goal),
+                goal_radius=torch.tensor(radius),
+            )
+        )
+    return stack(states)
+
+
+def _tensor(values: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.asarray(values, np.float32))
+
+
+def metrics_over_time(states: WorldState, episode_steps: int) -> dict[str, np.ndarray]:
+    """Return METRICS after each of the states (T), (T,) each."""
+    before = states.world(0)
+    tally = start_tally(before)
+    rows = [metrics(tally, before, episode_steps)]
+    for t in range(1, len(states.step)):
+        after = states.world(t)
+        tally = count_step(tally, before, after)
+        rows.append(metrics(tally, after, episode_steps))
+        before = after
+    return {name: np.array([float(row[name]) for row in rows]) for name in METRICS}
+
+
+def ranges_of(episode: Episode) -> np.ndarray | None:
+    """Return the scans (T, H, 3, R) m, inf where one is missing; None if there are none at all."""
+    shapes = {scan.shape for frame in episode.frames for scan in frame.scans if scan is not None}
+    if len(shapes) != 1:
+        return None
+    nothing = np.full(shapes.pop(), np.inf, np.float32)
+    return np.array(
+        [[nothing if s is None else s for s in frame.scans] for frame in episode.frames]
+    )
+
+
+def track_of(episode: Episode, title: str) -> EpisodeTrack:
+    """Return the episode for pictures and animations, with the lidar of shepherd 0 if recorded."""
+    states, ranges = states_of(episode), ranges_of(episode)
+    return EpisodeTrack(
+        times=np.array([frame.stamp_ns for frame in episode.frames]) * 1e-9,
+        sheep=states.sheep.numpy(),
+        shepherds=states.shepherds.numpy(),
+        goal=states.goal.numpy(),
+        goal_radius=float(states.goal_radius[0]),
+        title=title,
+        ranges=None if ranges is None else ranges[:, 0],
+        lidar_shepherd=0,
+    )
