@@ -12,6 +12,7 @@ from shepherd_ros.episode import Episode
 from shepherd_ros.nodes.base import ERROR, nanoseconds, OK, ShepherdNode, WARN
 from shepherd_ros.nodes.commands import CommandBuffer
 from shepherd_ros.nodes.messages import LARGEST_FLOAT32, velocity_of
+from shepherd_ros.sim.lidar import CHANNELS
 
 THROTTLE = 5.0  # [s] between two warnings of one kind
 
@@ -46,8 +47,8 @@ class CommandGate:
         )
         self.commands = CommandBuffer(0)
         self.inputs: list[Any] = []
-        self.scans: list[Any] = []
-        self.scanned: set[int] = set()
+        self.scans: dict[str, Any] = {}
+        self.scanned: set[str] = set()
         self.counts: Counter[str] = Counter()
         self.said: dict[str, float] = {}
         self.lockstep = True
@@ -61,17 +62,22 @@ class CommandGate:
         self.lockstep = episode.mode == 'lockstep'
         self.commands = CommandBuffer(episode.n_shepherds)
         kind = '' if self.stamped else 'geometry_msgs/msg/Twist'
-        for many in (self.inputs, self.scans):
-            while len(many) > episode.n_shepherds:
-                self.node.destroy_subscription(many.pop())
+        while len(self.inputs) > episode.n_shepherds:
+            self.node.destroy_subscription(self.inputs.pop())
         for h in range(len(self.inputs), episode.n_shepherds):
             self.inputs.append(
                 self.node.listen('shepherd_{h}/cmd_vel', self._receiver(h), h, kind=kind)
             )
-        for h in range(len(self.scans), episode.n_shepherds if self.wait_for_scans else 0):
-            self.scans.append(
-                self.node.listen('shepherd_{h}/scan/goal', self._scan_receiver(h), h)
-            )
+        scans = {
+            f'shepherd_{h}/scan/{channel}': ('shepherd_{h}/scan/' + channel, h)
+            for h in range(episode.n_shepherds if self.wait_for_scans else 0)
+            for channel in CHANNELS
+        }
+        for name in self.scans.keys() - scans.keys():
+            self.node.destroy_subscription(self.scans.pop(name))
+        for name in [name for name in scans if name not in self.scans]:
+            topic, h = scans[name]
+            self.scans[name] = self.node.listen(topic, self._scan_receiver(name), h)
 
     def expect(self, now_ns: int, dt_ns: int) -> None:
         """Begin to wait for answers to a new state."""
@@ -108,10 +114,10 @@ class CommandGate:
 
         return receive
 
-    def _scan_receiver(self, shepherd: int) -> Callable[[Any], None]:
+    def _scan_receiver(self, name: str) -> Callable[[Any], None]:
         def receive(message: Any) -> None:
             if nanoseconds(message.header.stamp) == self.now_ns:
-                self.scanned.add(shepherd)
+                self.scanned.add(name)
                 if self.complete:
                     self.on_answers()
 
@@ -153,9 +159,7 @@ class CommandGate:
     def missing(self) -> list[str]:
         """Return whose answers to the present state are missing."""
         lacking = [f'shepherd_{h}/cmd_vel' for h in self.commands.silent()]
-        return lacking + [
-            f'shepherd_{h}/scan/goal' for h in range(len(self.scans)) if h not in self.scanned
-        ]
+        return lacking + [name for name in self.scans if name not in self.scanned]
 
     def watch(self, patience: float) -> None:
         """Log once, by name, who has been silent for longer than patience [s]."""
