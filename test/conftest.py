@@ -67,7 +67,7 @@ def own_domain() -> Iterator[int]:
 @contextmanager
 def own_graph(folder: Path) -> Iterator[Graph]:
     """Lend an empty graph; whatever a test starts in it has ended afterwards."""
-    from nodes.process import Graph, until
+    from nodes.process import Graph
 
     with own_domain() as domain, pytest.MonkeyPatch.context() as patch:
         patch.setenv('ROS_DOMAIN_ID', str(domain))
@@ -78,7 +78,6 @@ def own_graph(folder: Path) -> Iterator[Graph]:
             yield graph
         finally:
             graph.close()
-        until(lambda: not participants(domain), f'domain {domain} is empty again')
 
 
 @pytest.fixture

@@ -273,11 +273,17 @@ class Graph:
         """Run callbacks of this process for a moment."""
         self.executor.spin_once(timeout_sec=0.01)
 
-    def until(self, condition: Callable[[], Any], what: str, seconds: float = DEADLINE) -> Any:
+    def until(
+        self,
+        condition: Callable[[], Any],
+        what: str | Callable[[], str],
+        seconds: float = DEADLINE,
+    ) -> Any:
         """Spin until the condition is true; AssertionError with all output after the deadline."""
 
         def story() -> str:
-            return '\n'.join([what, *map(str, self.processes)])
+            text = what if isinstance(what, str) else what()
+            return '\n'.join([text, *map(str, self.processes)])
 
         return until(condition, story, seconds, self.spin)
 

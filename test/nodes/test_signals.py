@@ -66,6 +66,7 @@ def test_a_busy_stack_ends_with_zero_on_a_signal_in_the_midst_of_its_work(
     processes = [
         graph.start(name, executor=executor, **parameters.get(name, {})) for name in STACK
     ]
+    graph.until_nodes(*STACK)
     graph.until(lambda: len(track.stamps) > 20, 'the world moves fast')
     for process in reversed(processes):  # the world last, so that all the others are busy
         process.send(*signals)
