@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+import math
 from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Annotated, Any
@@ -12,10 +13,12 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.parameter import parameter_value_to_python
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from shepherd_ros.bags.encode import encode_clock
+from shepherd_ros.bags.metadata import TopicInfo
 from shepherd_ros.bags.qos import Qos
 from shepherd_ros.bags.reader import BagMessage, open_bag
 from shepherd_ros.config import ConfigError
@@ -54,10 +57,10 @@ class PlayerOptions:
 
     def check(self) -> None:
         """Raise ConfigError for numbers that make no sense."""
-        if not self.rate > 0:
-            raise ConfigError(f'--rate is {self.rate}: expected more than 0, such as 1.0')
+        if not 0 < self.rate < math.inf:
+            raise ConfigError(f'--rate is {self.rate}: expected a number above 0, such as 1.0')
         for name in ('start_offset', 'until', 'clock', 'wait'):
-            if not getattr(self, name) >= 0:
+            if not 0 <= getattr(self, name) < math.inf:
                 value = getattr(self, name)
                 raise ConfigError(f'--{name.replace("_", "-")} is {value}: expected 0 or more')
 
@@ -67,7 +70,6 @@ class Player(ShepherdNode):
 
     def __init__(self, options: PlayerOptions, **kwargs: Any) -> None:
         """Create the publishers; a thread plays."""
-        super().__init__('player', **kwargs)
         options.check()
         self.options = options
         self.bag = open_bag(options.bag)
@@ -76,11 +78,10 @@ class Player(ShepherdNode):
             raise ConfigError(
                 f'--topics has {", ".join(unknown)}: expected some of {", ".join(self.bag.topics)}'
             )
+        super().__init__('player', **kwargs)  # after what needs no graph
         self.names = [n for n in self.bag.topics if not options.topics or n in options.topics]
         self.outputs: dict[str, Publisher] = {
-            name: self.create_publisher(message_type(topic.type), name, _quality(topic.qos))
-            for name, topic in self.bag.topics.items()
-            if name in self.names
+            name: self._publisher(self.bag.topics[name]) for name in self.names
         }
         self.latched = {n for n in self.names if _is_latched(self.bag.topics[n].qos)}
         self.clock_output = None
@@ -101,6 +102,27 @@ class Player(ShepherdNode):
         self.thread = Thread(target=self.play, daemon=True)
         self.thread.start()
 
+    def _publisher(self, topic: TopicInfo) -> Publisher:
+        """Return the publisher of a recorded topic; ConfigError if it cannot be played."""
+        fix = 'choose others with --topics'
+        if topic.serialization != 'cdr':
+            raise ConfigError(
+                f'{self.bag.path}: {topic.name} is in {topic.serialization!r}, expected cdr; {fix}'
+            )
+        try:
+            kind = message_type(topic.type)
+        except (AttributeError, ImportError, ValueError) as error:
+            raise ConfigError(
+                f'{self.bag.path}: {topic.name} has the type {topic.type!r}, which is not '
+                f'installed; install its package or {fix}'
+            ) from error
+        try:
+            return self.create_publisher(kind, topic.name, _quality(topic.qos))
+        except InvalidTopicNameException as error:
+            raise ConfigError(
+                f'{self.bag.path}: {topic.name!r} is no name of a topic in ROS 2; {fix}'
+            ) from error
+
     # ---- playing ----
 
     def play(self) -> None:
@@ -109,8 +131,9 @@ class Player(ShepherdNode):
             self.await_readers()
             again = True
             while again and not self.stopped.is_set():
+                before = self.played
                 self.play_once()
-                again = self.options.loop
+                again = self.options.loop and self.played > before
         except ConfigError as error:
             self.failure = str(error)
         self.finished = True
@@ -137,34 +160,40 @@ class Player(ShepherdNode):
 
     def play_once(self) -> None:
         """Publish every message when it is due."""
-        begun, first = self.wall(), None
+        begun = self.wall()
+        first = self.bag.start_ns + round(self.options.start_offset * SECOND)
         for message in self.messages():
-            if self.stopped.is_set():
-                return
-            if not self.running.is_set():
-                paused = self.wall()
-                self.await_go()
-                begun += self.wall() - paused
-            if first is None:
-                first = self.bag.start_ns + round(self.options.start_offset * SECOND)
-            due = begun + max(message.log_ns - first, 0) / SECOND / self.options.rate
-            wait = due - self.wall()
-            if wait > 0 and self.stopped.wait(wait):
+            ahead = max(message.log_ns - first, 0) / SECOND / self.options.rate
+            asked = False  # for this message, by ~/step
+            while not self.stopped.is_set():
+                if not (asked or self.running.is_set()):
+                    paused = self.wall()
+                    asked = self.await_go()
+                    begun += self.wall() - paused
+                    continue
+                due = begun + ahead
+                wait = due - self.wall()
+                if wait <= 0:
+                    break
+                self.woken.wait(wait)
+                self.woken.clear()
+            else:
                 return
             self.at_ns = message.log_ns
             self.outputs[message.topic].publish(message.data)
             self.lateness.append(max(self.wall() - due, 0.0))
             self.played += 1
 
-    def await_go(self) -> None:
-        """Wait until the pause is over, or for one message of those asked for by ~/step."""
+    def await_go(self) -> bool:
+        """Wait until the pause is over; true: only for one of the messages of ~/step."""
         while not self.stopped.is_set() and not self.running.is_set():
             with self.lock:
                 if self.steps > 0:
                     self.steps -= 1
-                    return
+                    return True
             self.woken.wait(0.05)
             self.woken.clear()
+        return False
 
     def tell_time(self) -> None:
         """Publish the time of the bag."""
@@ -179,6 +208,8 @@ class Player(ShepherdNode):
             self.running.clear()
         else:
             self.running.set()
+        with self.lock:
+            self.steps = 0
         self.woken.set()
         response.success, response.message = True, 'paused' if request.data else 'playing'
         return response
@@ -213,6 +244,7 @@ class Player(ShepherdNode):
     def end(self) -> int:
         """Stop the thread and say what was played and how late."""
         self.stopped.set()
+        self.woken.set()
         self.thread.join(2.0)
         for output in self.outputs.values():
             output.wait_for_all_acked(Duration(seconds=0.5))

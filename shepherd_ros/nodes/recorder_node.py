@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 import re
 from typing import Annotated, Any, Literal
@@ -16,10 +17,11 @@ from rclpy.subscription import Subscription
 from shepherd_ros.bags.contract import known
 from shepherd_ros.bags.errors import BagError
 from shepherd_ros.bags.qos import Qos
+from shepherd_ros.bags.schemas import installed_text, nested_text, wire_types
 from shepherd_ros.bags.writer import BagWriter
 from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes.base import ERROR, message_type, OK, ShepherdNode, WARN
-from shepherd_ros.nodes.losses import Losses
+from shepherd_ros.nodes.losses import Losses, Waiting, waiting
 from shepherd_ros.nodes.runtime import run
 from std_srvs.srv import Trigger
 import tyro
@@ -56,15 +58,21 @@ class RecorderOptions:
     use_sim_time: bool = False
     """Log times are those of /clock."""
 
+    def check(self) -> None:
+        """Raise ConfigError for numbers that make no sense."""
+        if not (self.max_bag_size >= 0 and self.max_bag_duration >= 0):
+            values = f'--max-bag-size is {self.max_bag_size}, -duration {self.max_bag_duration}'
+            raise ConfigError(f'{values}: expected 0 (never) or more')
+        _ = self.pattern('regex'), self.pattern('exclude')
+
     def pattern(self, name: str) -> re.Pattern[str] | None:
         """Return a compiled expression, None if there is none; ConfigError for a bad one."""
         text = getattr(self, name)
         try:
             return re.compile(text) if text else None
         except re.error as error:
-            raise ConfigError(
-                f'--{name} is {text!r}: expected a regular expression ({error})'
-            ) from None
+            what = f'--{name} is {text!r}: expected a regular expression'
+            raise ConfigError(f'{what} ({error})') from None
 
 
 class Recorder(ShepherdNode):
@@ -72,22 +80,28 @@ class Recorder(ShepherdNode):
 
     def __init__(self, options: RecorderOptions, **kwargs: Any) -> None:
         """Create the node; the bag is opened with the first topic."""
+        options.check()
+        self.folder = Path(options.output or f'rosbag2_{datetime.now():%Y_%m_%d-%H_%M_%S}')
+        try:
+            self.folder.mkdir(parents=True)
+            self.folder.rmdir()
+        except OSError as error:
+            there = isinstance(error, FileExistsError)
+            what = 'it exists already' if there else f'it cannot be created ({error.strerror})'
+            raise BagError(self.folder, what, 'choose another folder with --output') from error
         super().__init__('recorder', **kwargs)
         self.options = options
         self.wanted = self._wish(options)
-        self.folder = Path(options.output or f'rosbag2_{datetime.now():%Y_%m_%d-%H_%M_%S}')
-        if self.folder.exists():
-            raise BagError(self.folder, 'it exists already', 'choose another folder with --output')
         self.writer: BagWriter | None = None
         self.recording = not options.start_paused
         self.inputs: dict[str, Subscription | None] = {}
         self.single: dict[str, bool] = {}  # whether a topic has one publisher
-        self.topics: dict[str, tuple[str, tuple[Qos, ...]]] = {}
-        self.latched: dict[str, bytes] = {}
+        self.topics: dict[str, dict[str, Any]] = {}  # as they are announced to a bag
+        self.latched: dict[str, bytes | None] = {}  # the last message of each such topic
+        self.begun = False  # whether the bag that is open tells of an episode
         self.losses = Losses()
         self.failure = ''
-        self.parts = 0
-        self.written = 0
+        self.parts = self.written = 0
         self.create_service(Trigger, '~/start', self._server(True))
         self.create_service(Trigger, '~/stop', self._server(False))
         self.look()
@@ -97,14 +111,13 @@ class Recorder(ShepherdNode):
         """Return which names to record."""
         regex, exclude = options.pattern('regex'), options.pattern('exclude')
         names = {self.resolve_topic_name(name) for name in options.topics}
-        everything = options.all
-        contract_too = not (names or regex or everything)
+        contract_too = not (names or regex or options.all)
 
         def wanted(name: str) -> bool:
             if exclude is not None and exclude.search(name):
                 return False
             by_name = name in names or (regex is not None and regex.search(name) is not None)
-            return everything or by_name or (contract_too and known(name) is not None)
+            return options.all or by_name or (contract_too and known(name) is not None)
 
         return wanted
 
@@ -117,13 +130,21 @@ class Recorder(ShepherdNode):
             if name in self.inputs or not self.wanted(name):
                 continue
             if len(types) > 1:
-                self.failure = self.failure or f'{name} has the types {", ".join(types)}'
-                self.get_logger().error(f'{name} has the types {", ".join(types)}: not recorded')
-                self.inputs[name] = None
+                self._refuse(name, f'it has the types {", ".join(types)}, expected one')
                 continue
             offers = self.get_publishers_info_by_topic(name)
             if offers:
-                self._subscribe(name, types[0], offers)
+                try:
+                    self._subscribe(name, types[0], offers)
+                except (AttributeError, ImportError, FileNotFoundError, ValueError) as error:
+                    self._refuse(name, f'{types[0]} is missing ({error}): install it or --exclude')
+
+    def _refuse(self, name: str, why: str) -> None:
+        """Go on without a topic; the bag is not whole then."""
+        text = f'{name} is not recorded: {why}'
+        self.failure = self.failure or text
+        self.get_logger().error(text)
+        self.inputs[name] = None
 
     def _subscribe(self, name: str, kind: str, offers: list[Any]) -> None:
         """Subscribe with a quality of service that all publishers offer."""
@@ -136,39 +157,54 @@ class Recorder(ShepherdNode):
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
         )
         qos = tuple(Qos(p.reliability.name.lower(), p.durability.name.lower()) for p in profiles)
-        self.topics[name] = kind, qos
+        message = message_type(kind)
+        if latched:
+            self.latched[name] = None
+        self.topics[name] = {'type_name': kind, 'qos': qos}
+        if kind not in wire_types():
+            schema = 'ros2msg', nested_text(kind, installed_text).encode()
+            hash_text = str(offers[0].topic_type_hash)
+            self.topics[name] |= {'schema': schema, 'hash_text': hash_text}
         self.single[name] = len(offers) == 1
+        taker: Any = partial(self.receive, name)
         self.inputs[name] = self.create_subscription(
-            message_type(kind),
+            message,
             name,
-            self._receiver(name, latched),
+            taker,
             profile,
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(
-                message_lost=lambda info: self.losses.dropped(name, info.total_count_change)
+                message_lost=partial(self.losses.lost, name)
             ),
         )
         self.get_logger().info(f'recording {name} ({kind})')
 
-    def _receiver(self, name: str, latched: bool) -> Callable[[bytes, Any], None]:
-        """Return what takes a message of a topic with its times."""
-        ours = known(name)
-        episodes = ours is not None and ours.topic.name == 'episode'
-
-        def receive(raw: bytes, info: Any) -> None:
-            sequence = info.get('publication_sequence_number')
-            self.losses.heard(name, sequence, self.single[name])
-            if latched:
-                self.latched[name] = raw
-            if not self.recording:
-                return
-            if episodes and self.options.per_episode:
+    def receive(self, name: str, raw: bytes, info: Any) -> None:
+        """Take a message of a topic with its times."""
+        sequence = info.get('publication_sequence_number')
+        if self.single[name] and not self.losses.follows(name, sequence):
+            self.single[name] = self.count_publishers(name) == 1  # there may be a new one
+        self.losses.heard(name, sequence, self.single[name])
+        later: list[Waiting] = []
+        ours = known(name) if self.recording and self.options.per_episode else None
+        if ours is not None and ours.topic.name == 'episode':
+            for row in waiting(self.inputs, DEPTH):
+                if row[2]['received_timestamp'] < info['received_timestamp']:
+                    self.receive(*row)
+                else:
+                    later.append(row)
+            if self.begun:
                 self._close()
+                self.latched[f'{ours.namespace}/goal'] = None  # another one follows
+            self.begun = True
+        if name in self.latched:
+            self.latched[name] = raw
+        if self.recording:
             now = self.get_clock().now().nanoseconds
             received = now if self.options.use_sim_time else info['received_timestamp']
             self._write(name, raw, received, info['source_timestamp'] or received)
-
-        return receive
+        for row in later:
+            self.receive(*row)
 
     # ---- the bag ----
 
@@ -178,7 +214,7 @@ class Recorder(ShepherdNode):
             if self.writer is None:
                 self.writer = self._open()
                 for topic, content in self.latched.items():
-                    if topic != name:
+                    if content is not None and topic != name:
                         self._put(self.writer, topic, content, log_ns, publish_ns)
             self._put(self.writer, name, raw, log_ns, publish_ns)
         except (BagError, OSError) as error:
@@ -187,8 +223,7 @@ class Recorder(ShepherdNode):
             self.recording, self.finished = False, True
 
     def _put(self, writer: BagWriter, name: str, raw: bytes, log_ns: int, publish_ns: int) -> None:
-        kind, qos = self.topics[name]
-        writer.add_topic(name, kind, qos)
+        writer.add_topic(name, **self.topics[name])
         writer.write(name, raw, log_ns, publish_ns)
         self.written += 1
 
@@ -229,6 +264,8 @@ class Recorder(ShepherdNode):
     def end(self) -> int:
         """Close the bag, say what is in it and what is not, and return the exit code."""
         try:
+            for row in waiting(self.inputs, DEPTH):  # it came before the end, too
+                self.receive(*row)
             self._close()
         except BagError as error:
             self.failure = str(error)

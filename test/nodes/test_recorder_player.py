@@ -1,0 +1,569 @@
+"""Recorder and player as processes: nothing is lost, what is lost is told, and all comes back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+import re
+from signal import SIGCONT, SIGKILL, SIGSTOP
+import time
+from typing import Any
+
+from bags.tiny import cdr, LOG_START_NS, make, recording, scan_of, Sent, tiny_bag, write
+from geometry_msgs.msg import PoseArray
+from nodes.process import BEST_EFFORT, Graph, LATCHED, Process, RELIABLE, rollout
+import numpy as np
+import pytest
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from rosbags.highlevel import AnyReader
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import LaserScan
+from shepherd_ros.bags.check import check_bag
+from shepherd_ros.bags.diff import diff_bags
+from shepherd_ros.bags.episodes import iter_episodes
+from shepherd_ros.bags.qos import Qos
+from shepherd_ros.bags.reader import Bag, open_bag
+from shepherd_ros.bags.writer import BagWriter
+from shepherd_ros.cli import main
+from shepherd_ros.nodes.losses import Losses
+from shepherd_ros.sim.env import EnvConfig
+from shepherd_ros.sim.presets import world_preset
+from std_msgs.msg import Float64, Int32, String
+from std_srvs.srv import SetBool, Trigger
+
+EPISODES, STEPS = 2, 30
+WORLD = {'n_sheep': 10, 'n_shepherds': 2, 'episode_steps': STEPS}
+SENSED = [f'/shepherd_{h}/scan/{c}' for h in (0, 1) for c in ('sheep', 'shepherds', 'goal')]
+ANSWERS = [f'/shepherd_{h}/cmd_vel' for h in (0, 1)]
+STACK = ['/clock', '/episode', '/goal', '/flock/poses', '/shepherds/poses', *SENSED, *ANSWERS]
+WHOLE = 'the bag is whole'
+
+
+# ---- how to record and play ----
+
+
+def start_recorder(graph: Graph, folder: Path, *words: str) -> Process:
+    """Start a recorder, once it is known that no other one is there."""
+    graph.until(lambda: 'recorder' not in graph.node.get_node_names(), 'no recorder')
+    recorder = graph.start_words('recorder', ['-o', str(folder), *words])
+    graph.until_nodes('recorder')
+    return recorder
+
+
+def until_recorded(graph: Graph, recorder: Process, *topics: str) -> None:
+    """Spin until the recorder listens to topics."""
+    for topic in topics:
+        graph.until_says(recorder, f'recording {topic} ')
+
+
+def run_stack(graph: Graph, folder: Path, *words: str) -> Process:
+    """Record two episodes from the first state on; return the recorder that was stopped."""
+    recorder = start_recorder(graph, folder, '-x', '/diagnostics', *words)
+    sim = graph.start('flock_sim', episodes=EPISODES, wait_for_scans=True, **WORLD)
+    assert graph.call('/flock_sim/pause', SetBool, SetBool.Request(data=True)).success
+    others = [graph.start('lidar', shepherd_ids=[0, 1]), graph.start('strombom')]
+    until_recorded(graph, recorder, *STACK)
+    shown = graph.collect('/shepherd_1/scan/goal', LaserScan)
+    graph.until(lambda: len(shown) >= 2, 'a paused world shows its state')
+    assert graph.call('/flock_sim/pause', SetBool, SetBool.Request(data=False)).success
+    assert sim.wait() == 0, sim
+    recorder.stop()
+    for process in others:
+        assert process.stop() == 0, process
+    return recorder
+
+
+@dataclass
+class Run:
+    """What was recorded of a whole run."""
+
+    folder: Path
+    recorder: Process
+
+    @property
+    def bag(self) -> Bag:
+        """Return the bag."""
+        return open_bag(self.folder)
+
+
+@pytest.fixture(scope='module')
+def whole(shared_graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Record one run for all tests."""
+    folder = tmp_path_factory.mktemp('whole') / 'bag'
+    return Run(folder, run_stack(shared_graph, folder))
+
+
+@pytest.fixture
+def room(shared_graph: Graph) -> Iterator[Graph]:
+    """Lend the shared graph; what a test started in it ends with the test."""
+    yield shared_graph
+    for process in shared_graph.processes:
+        process.kill()
+    shared_graph.until(
+        lambda: set(shared_graph.node.get_node_names()) == {'probe'}, 'nobody is there'
+    )
+
+
+@contextmanager
+def hearing(graph: Graph, topic: str, kind: Any, qos: Any = RELIABLE) -> Iterator[list[Any]]:
+    """Give the list into which messages come as bytes."""
+    heard: list[Any] = []
+    subscription = graph.node.create_subscription(kind, topic, heard.append, qos, raw=True)
+    try:
+        yield heard
+    finally:
+        graph.node.destroy_subscription(subscription)
+
+
+def ask(graph: Graph, service: str) -> tuple[bool, str]:
+    """Return what a service without arguments answers."""
+    answer = graph.call(service, Trigger, Trigger.Request())
+    return answer.success, answer.message
+
+
+def pause(graph: Graph, on: bool) -> None:
+    """Let the player pause or go on."""
+    assert graph.call('/player/pause', SetBool, SetBool.Request(data=on)).success
+
+
+def values(path: Path, n: int, gap_ns: int = 10_000_000, **options: Any) -> Path:
+    """Write a bag of numbers on /metrics/flock_spread."""
+    rows = [
+        Sent(
+            '/metrics/flock_spread', 'std_msgs/msg/Float64', cdr(make('Float64', data=float(k))),
+            LOG_START_NS + k * gap_ns, LOG_START_NS + k * gap_ns,
+        )
+        for k in range(n)
+    ]  # fmt: skip
+    return write(path, rows, **options)
+
+
+# ---- a whole run ----
+
+
+def test_a_recorded_run_is_whole(whole: Run) -> None:
+    assert whole.recorder.code == 0, whole.recorder
+    assert WHOLE in whole.recorder.text
+    assert f'{whole.bag.count} messages of {len(whole.bag.topics)} topics' in whole.recorder.text
+    result = check_bag(whole.bag, ('scans', 'commands'))
+    assert result.ok, result.text()
+    assert (result.episodes, result.steps) == (EPISODES, EPISODES * (STEPS + 1))
+    assert (result.absent, result.unfinished) == ([], [])
+    assert set(whole.bag.topics) >= set(STACK)
+
+
+def test_the_recorded_states_are_those_of_the_core(whole: Run) -> None:
+    world = replace(world_preset('default', 'strombom'), **WORLD)
+    states, _ = rollout('strombom', EnvConfig(world=world), episodes=EPISODES)
+    frames = [frame for episode in iter_episodes(whole.bag) for frame in episode.frames]
+    assert len(frames) == len(states)
+    for frame, state in zip(frames, states, strict=True):
+        present = state.shepherds[state.shepherd_mask]
+        assert np.array_equal(frame.sheep.astype(np.float32), state.sheep.numpy())
+        assert np.array_equal(frame.shepherds.astype(np.float32), present.numpy())
+
+
+def test_rosbags_reads_the_same(whole: Run) -> None:
+    with AnyReader([whole.folder]) as reader:
+        theirs = {name: info.msgcount for name, info in reader.topics.items()}
+        assert reader.message_count == whole.bag.count
+        for connection, _, raw in reader.messages():
+            reader.deserialize(raw, connection.msgtype)
+    assert theirs == {name: topic.count for name, topic in whole.bag.topics.items()}
+
+
+def test_what_is_played_and_recorded_again_is_equal(
+    whole: Run, room: Graph, tmp_path: Path
+) -> None:
+    recorder = start_recorder(room, tmp_path / 'again', '-x', '/diagnostics')
+    player = room.start_words('player', [str(whole.folder), '--rate', '20', '--wait', '10'])
+    assert player.wait() == 0, player
+    assert f'{whole.bag.count} messages of {len(whole.bag.topics)} topics; late by ' in player.text
+    assert recorder.stop() == 0, recorder
+    result = diff_bags(whole.bag, open_bag(tmp_path / 'again'))
+    assert result.equal, result.text()
+    offered = {name: topic.qos for name, topic in whole.bag.topics.items()}
+    again = open_bag(tmp_path / 'again').topics
+    for name, qos in offered.items():
+        assert [(q.reliability, q.durability) for q in again[name].qos] == [
+            (q.reliability, q.durability) for q in qos
+        ]
+
+
+def test_one_bag_per_episode(room: Graph, tmp_path: Path) -> None:
+    recorder = run_stack(room, tmp_path / 'bags', '--per-episode')
+    assert recorder.code == 0, recorder
+    folders = sorted((tmp_path / 'bags').iterdir())
+    assert [folder.name for folder in folders] == ['episode_0000', 'episode_0001']
+    for folder in folders:
+        result = check_bag(open_bag(folder), ('scans', 'commands'))
+        assert result.ok, result.text()
+        assert (result.episodes, result.steps) == (1, STEPS + 1)
+
+
+# ---- the recorder ----
+
+
+def flood(graph: Graph, publisher: Any, rows: list[bytes], rate: float) -> None:
+    """Publish bytes at a rate [1/s]."""
+    begun = time.monotonic()
+    for k, row in enumerate(rows):
+        while (ahead := begun + k / rate - time.monotonic()) > 0:
+            time.sleep(ahead)
+        publisher.publish(row)
+    graph.spin()
+
+
+def test_topics_are_selected_and_packed_and_split(room: Graph, tmp_path: Path) -> None:
+    names = ['/a/one', '/a/two', '/b/three', '/flock/spread', '/a/three']
+    recorder = start_recorder(
+        room, tmp_path / 'bag', '--topics', '/flock/spread', '--regex', '^/a/', '--exclude', 'two',
+        '--compression', 'zstd', '--max-bag-size', '20000',
+    )  # fmt: skip
+    outputs = [room.node.create_publisher(String, name, RELIABLE) for name in names]
+    until_recorded(room, recorder, '/a/one', '/a/three', '/flock/spread')
+    for output in (outputs[0], outputs[3], outputs[4]):
+        room.until(output.get_subscription_count, 'the recorder')
+    letters = np.random.default_rng(0).integers(97, 123, (40, 3000)).astype(np.uint8)
+    for row in letters:
+        for output in outputs:
+            output.publish(String(data=row.tobytes().decode()))
+    for output in outputs:
+        output.wait_for_all_acked()
+    assert recorder.stop() == 0, recorder
+    for output in outputs:
+        room.node.destroy_publisher(output)
+    bag = open_bag(tmp_path / 'bag')
+    assert {name: t.count for name, t in bag.topics.items()} == {
+        '/a/one': 40, '/a/three': 40, '/flock/spread': 40,
+    }  # fmt: skip
+    assert len(bag.storages) > 1
+    assert {c for storage in bag.storages for c in storage.compressions} == {'zstd'}
+    with AnyReader([tmp_path / 'bag']) as reader:
+        assert reader.message_count == bag.count
+        assert sum(1 for _ in reader.messages()) == bag.count
+
+
+def test_every_topic_is_recorded_with_its_type(room: Graph, tmp_path: Path) -> None:
+    recorder = start_recorder(room, tmp_path / 'bag', '--all')
+    until_recorded(room, recorder, '/rosout', '/diagnostics')
+    room.idle(1.2)
+    assert recorder.stop() == 0, recorder
+    bag = open_bag(tmp_path / 'bag')
+    assert bag.topics['/rosout'].type == 'rcl_interfaces/msg/Log'
+    assert bag.topics['/rosout'].type_hash.startswith('RIHS01_')
+    assert bag.topics['/diagnostics'].count >= 1
+    with AnyReader([tmp_path / 'bag']) as reader:
+        for connection, _, raw in reader.messages():
+            reader.deserialize(raw, connection.msgtype)
+
+
+def test_stop_and_start(room: Graph, tmp_path: Path) -> None:
+    recorder = start_recorder(room, tmp_path / 'bag', '--topics', '/n', '--start-paused')
+    output = room.publisher('/n', Float64)
+    until_recorded(room, recorder, '/n')
+
+    def send(value: float) -> None:
+        output.publish(Float64(data=value))
+        output.wait_for_all_acked()
+        room.idle(0.2)
+
+    send(1.0)
+    assert ask(room, '/recorder/start') == (True, 'recording')
+    assert ask(room, '/recorder/start') == (False, 'already recording')
+    send(2.0)
+    assert ask(room, '/recorder/stop') == (True, 'stopped')
+    send(3.0)
+    assert ask(room, '/recorder/start')[0]
+    send(4.0)
+    assert recorder.stop() == 0, recorder
+    room.node.destroy_publisher(output)
+    kept = [np.frombuffer(m.data[4:12], '<f8')[0] for m in open_bag(tmp_path / 'bag').messages()]
+    assert kept == [2.0, 4.0]
+
+
+@pytest.mark.parametrize(
+    ('words', 'said'),
+    [
+        (['-o', '{there}'], ['{there}: it exists already; choose another folder']),
+        (['-o', '{file}/x/y'], ['{file}/x/y: it cannot be created (', '; choose another folder']),
+        (['-o', '{new}', '-e', '(['], ["--regex is '(['", 'expected a regular expression']),
+        (['-o', '{new}', '-x', '*a'], ["--exclude is '*a'", 'expected a regular expression']),
+        (['-o', '{new}', '-b', '-1'], ['--max-bag-size is -1', 'expected 0 (never) or more']),
+        (['-o', '{new}', '--compression', 'gz'], ['gz', 'zstd']),
+    ],
+)
+def test_a_recorder_refuses_what_cannot_be(
+    room: Graph, tmp_path: Path, words: list[str], said: list[str]
+) -> None:
+    places = {'there': tmp_path / 'there', 'file': tmp_path / 'file', 'new': tmp_path / 'new'}
+    places['there'].mkdir()
+    places['file'].touch()
+    recorder = room.start_words('recorder', [word.format(**places) for word in words])
+    assert recorder.wait() == 2, recorder
+    for text in said:
+        assert text.format(**places) in recorder.text
+    assert 'Traceback' not in recorder.text
+    assert not places['new'].exists()
+
+
+def test_a_killed_recorder_leaves_a_prefix(
+    room: Graph, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recorder = start_recorder(room, tmp_path / 'bag', '--topics', '/scan')
+    output = room.publisher('/scan', LaserScan)
+    rows = [scan_of(k, np.full(512, k, np.float32)) for k in range(600)]
+    flood(room, output, rows, 2000.0)
+    output.wait_for_all_acked()
+    recorder.send(SIGKILL)
+    assert recorder.wait() == -SIGKILL
+    room.node.destroy_publisher(output)
+    assert main(['bag', 'info', str(tmp_path / 'bag')]) == 2
+    assert 'shepherd bag recover' in capsys.readouterr().err
+    assert main(['bag', 'recover', str(tmp_path / 'bag')]) == 0
+    kept = [message.data for message in open_bag(tmp_path / 'bag_recovered').messages()]
+    assert 300 < len(kept) <= len(rows)
+    assert kept == rows[: len(kept)]
+
+
+# ---- losses ----
+
+
+def test_gaps_in_the_numbering_are_losses() -> None:
+    losses = Losses()
+    for number in (5, 6, 9, 10):  # what came before the first one is not lost
+        losses.heard('/a', number, True)
+    assert losses.total == 2
+    for number in (1, 2, 4):  # the publisher was restarted
+        losses.heard('/a', number, True)
+    assert losses.total == 3
+    losses.heard('/b', 1, True)
+    assert losses.report() == ['/a: 3 missing in the numbering, 0 reported by DDS']
+
+
+def test_several_publishers_have_no_common_numbering() -> None:
+    losses = Losses()
+    for number, single in ((1, True), (2, True), (40, False), (3, False), (90, True), (91, True)):
+        losses.heard('/a', number, single)
+    losses.heard('/a', None, True)
+    losses.heard('/a', 95, True)
+    assert (losses.total, losses.report()) == (0, [])
+    losses.dropped('/a', 7)
+    assert losses.total == 7
+    assert losses.report() == ['/a: 0 missing in the numbering, 7 reported by DDS']
+
+
+def test_numbers_that_follow() -> None:
+    losses = Losses()
+    assert losses.follows('/a', 8)
+    losses.heard('/a', 8, True)
+    assert losses.follows('/a', 9)
+    assert losses.follows('/a', None)
+    assert not losses.follows('/a', 8)
+    assert not losses.follows('/a', 10)
+
+
+def test_a_recorder_that_is_held_up_tells_what_it_lost(room: Graph, tmp_path: Path) -> None:
+    recorder = start_recorder(room, tmp_path / 'bag', '--topics', '/flood')
+    output = room.publisher('/flood', String, BEST_EFFORT)
+    until_recorded(room, recorder, '/flood')
+    row = cdr(make('String', data='x' * 500))
+    output.publish(row)
+    room.idle(0.3)
+    recorder.send(SIGSTOP)
+    for _ in range(12_000):
+        output.publish(row)
+    recorder.send(SIGCONT)
+    room.idle(0.5)
+    output.publish(row)  # only a later message shows that others are missing
+    room.idle(0.3)
+    assert recorder.stop() == 1, recorder
+    room.node.destroy_publisher(output)
+    assert 'the bag is NOT whole' in recorder.text
+    lost = re.search(r'lost: /flood: (\d+) missing in the numbering', recorder.text)
+    assert lost, recorder
+    assert open_bag(tmp_path / 'bag').count + int(lost[1]) == 12_002
+
+
+def test_two_publishers_of_one_topic_are_no_loss(room: Graph, tmp_path: Path) -> None:
+    recorder = start_recorder(room, tmp_path / 'bag', '--topics', '/n')
+    first = room.publisher('/n', Float64)
+    for _ in range(50):
+        first.publish(Float64())
+    second = room.publisher('/n', Float64)
+    for _ in range(50):
+        second.publish(Float64())
+        first.publish(Float64())
+    for output in (first, second):
+        output.wait_for_all_acked()
+    assert recorder.stop() == 0, recorder
+    for output in (first, second):
+        room.node.destroy_publisher(output)
+    assert open_bag(tmp_path / 'bag').count == 150
+
+
+@pytest.mark.parametrize('qos', [RELIABLE, BEST_EFFORT], ids=['reliable', 'best effort'])
+def test_two_thousand_scans_per_second_are_all_there(
+    room: Graph, tmp_path: Path, qos: Any
+) -> None:
+    recorder = start_recorder(room, tmp_path / 'bag', '--topics', '/scan')
+    output = room.publisher('/scan', LaserScan, qos)
+    rows = [scan_of(k, np.full(512, k, np.float32)) for k in range(2000)]
+    flood(room, output, rows, 2000.0)
+    output.wait_for_all_acked()
+    room.idle(0.2)
+    assert recorder.stop() == 0, recorder
+    room.node.destroy_publisher(output)
+    assert [message.data for message in open_bag(tmp_path / 'bag').messages()] == rows
+
+
+# ---- the player ----
+
+
+def test_late_readers_get_what_is_latched(room: Graph, tmp_path: Path) -> None:
+    bag = tiny_bag(tmp_path / 'bag')
+    player = room.start_words('player', [str(bag), '--start-paused', '--rate', '50'])
+    room.until_nodes('player')
+    room.idle(0.5)
+    assert player.code is None, player
+    with hearing(room, '/flock/poses', PoseArray) as poses:
+        room.until(lambda: room.node.count_publishers('/flock/poses'), 'the player')
+        assert not poses
+        room.idle(0.2)
+        step = SetParameters.Request(parameters=[_integer('n', 3)])
+        (result,) = room.call('/player/step', SetParameters, step).results
+        assert result.successful
+        room.idle(0.5)
+        with hearing(room, '/episode', String, LATCHED) as episodes:
+            room.until(lambda: episodes, 'the episode, which was played before')
+        pause(room, False)
+        assert player.wait() == 0, player
+        room.until(lambda: len(poses) == 10, 'every pose')
+
+
+def test_step_plays_as_many_as_asked_for(room: Graph, tmp_path: Path) -> None:
+    bag = values(tmp_path / 'bag', 50)
+    with hearing(room, '/metrics/flock_spread', Float64) as heard:
+        player = room.start_words('player', [str(bag), '-p', '--wait', '10'])
+        for n, total in ((1, 1), (7, 8), (2, 10)):
+            step = SetParameters.Request(parameters=[_integer('n', n)])
+            (result,) = room.call('/player/step', SetParameters, step).results
+            assert result.successful, result.reason
+            room.until(lambda total=total: len(heard) == total, f'{total} messages')
+            room.idle(0.15)
+            assert len(heard) == total
+        for wrong in (_integer('n', 0), _integer('m', 1)):
+            step = SetParameters.Request(parameters=[wrong])
+            (result,) = room.call('/player/step', SetParameters, step).results
+            assert not result.successful
+            assert 'expected n, an integer of at least 1' in result.reason
+        assert len(heard) == 10
+        assert player.stop() == 0, player
+        assert '10 messages of 1 topics' in player.text
+
+
+def test_a_pause_holds_the_message_that_is_next(room: Graph, tmp_path: Path) -> None:
+    bag = values(tmp_path / 'bag', 2, gap_ns=1_500_000_000)
+    with hearing(room, '/metrics/flock_spread', Float64) as heard:
+        player = room.start_words('player', [str(bag), '--wait', '10'])
+        room.until(lambda: heard, 'the first message')
+        pause(room, True)
+        room.idle(1.7)
+        assert len(heard) == 1
+        pause(room, False)
+        assert player.wait() == 0, player
+        room.until(lambda: len(heard) == 2, 'the second message')
+
+
+def test_loop_repeats(room: Graph, tmp_path: Path) -> None:
+    bag = values(tmp_path / 'bag', 5)
+    with hearing(room, '/metrics/flock_spread', Float64) as heard:
+        player = room.start_words('player', [str(bag), '--loop', '--wait', '10'])
+        room.until(lambda: len(heard) > 12, 'the third time')
+        assert player.stop() == 0, player
+    numbers = [int(np.frombuffer(raw[4:12], '<f8')[0]) for raw in heard]
+    assert numbers == [k % 5 for k in range(len(numbers))]
+
+
+def test_start_offset_and_until(room: Graph, tmp_path: Path) -> None:
+    bag = tiny_bag(tmp_path / 'bag')
+    start, end = 0.03, 0.05  # messages are 1 ms apart
+    sent = recording()[0]
+    expected = [m.data for m in sent[30:50] if m.topic == '/flock/poses']
+    with (
+        hearing(room, '/flock/poses', PoseArray) as poses,
+        hearing(room, '/episode', String, LATCHED) as episodes,
+    ):
+        words = [str(bag), '--start-offset', str(start), '--until', str(end), '--wait', '2']
+        player = room.start_words('player', words)
+        assert player.wait() == 0, player
+        room.until(lambda: len(poses) == len(expected) and episodes, 'what was played')
+    assert poses == expected
+    (episode,) = episodes
+    expected_episode = next(m.data for m in sent if m.topic == '/episode')
+    assert episode.rstrip(b'\0') == expected_episode.rstrip(b'\0')  # padding is not content
+
+
+def test_there_is_never_a_second_clock(room: Graph, tmp_path: Path) -> None:
+    bag = tiny_bag(tmp_path / 'bag')
+    with hearing(room, '/clock', Clock, BEST_EFFORT) as clock:
+        played = [str(bag), '-p', '--clock', '50']
+        player = room.start_words('player', played)
+        room.until(lambda: room.node.count_publishers('/clock'), 'a clock')
+        room.idle(0.3)
+        assert room.node.count_publishers('/clock') == 1
+        assert not clock
+        assert player.stop() == 0, player
+        room.until(lambda: not room.node.count_publishers('/clock'), 'no clock')
+        words = [str(bag), '--topics', '/flock/poses', '--clock', '50', '--rate', '0.2']
+        player = room.start_words('player', words)
+        room.until(lambda: len(clock) > 3, 'time')
+        assert room.node.count_publishers('/clock') == 1
+        assert player.stop() == 0, player
+
+
+@pytest.mark.parametrize(
+    ('words', 'said'),
+    [
+        (['{bag}', '--topics', '/wool'], ['--topics has /wool', 'expected some of /clock']),
+        (['{bag}', '--rate', '-1'], ['--rate is -1.0', 'expected a number above 0']),
+        (['{bag}', '--start-offset', 'inf'], ['--start-offset is inf', 'expected 0 or more']),
+        (['{none}'], ['{none}: there is no such file or folder; check the path']),
+        (['{empty}'], ['{empty}: it is empty; ']),
+        (['{foreign}'], ["/x has the type 'wool_msgs/msg/Sheep'", 'not installed', '--topics']),
+    ],
+)
+def test_a_player_refuses_what_cannot_be(
+    room: Graph, tmp_path: Path, words: list[str], said: list[str]
+) -> None:
+    places = {name: tmp_path / name for name in ('bag', 'none', 'empty', 'foreign')}
+    tiny_bag(places['bag'])
+    places['empty'].touch()
+    with BagWriter(places['foreign']) as writer:
+        schema = 'ros2msg', b'float64 x\n'
+        writer.add_topic('/x', 'wool_msgs/msg/Sheep', [Qos()], schema=schema)
+        writer.write('/x', bytes(12), 1, 1)
+    player = room.start_words('player', [word.format(**places) for word in words])
+    assert player.wait() == 2, player
+    for text in said:
+        assert text.format(**places) in player.text
+    assert 'Traceback' not in player.text
+
+
+def test_a_foreign_bag_is_played_if_its_types_are_installed(room: Graph, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'bag', own=False) as writer:
+        schema = 'ros2msg', b'int32 data\n'
+        writer.add_topic('/wool', 'std_msgs/msg/Int32', [Qos()], schema=schema)
+        writer.write('/wool', b'\0\1\0\0\7\0\0\0', 1, 1)
+    with hearing(room, '/wool', Int32) as heard:
+        player = room.start_words('player', [str(tmp_path / 'bag'), '--wait', '10'])
+        assert player.wait() == 0, player
+        room.until(lambda: heard == [b'\0\1\0\0\7\0\0\0'], 'the message')
+
+
+def _integer(name: str, value: int) -> Any:
+    """Return an argument of a service."""
+    return Parameter(name, value=value).to_parameter_msg()
