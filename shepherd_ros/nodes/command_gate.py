@@ -8,10 +8,16 @@ import math
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import LaserScan
 from shepherd_ros.episode import Episode
-from shepherd_ros.nodes.base import ERROR, nanoseconds, OK, ShepherdNode, WARN
+from shepherd_ros.nodes.base import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.nodes.commands import CommandBuffer
-from shepherd_ros.nodes.messages import LARGEST_FLOAT32, velocity_of
+from shepherd_ros.nodes.messages import (
+    decode_command,
+    decode_stamp,
+    decode_twist,
+    LARGEST_FLOAT32,
+)
 from shepherd_ros.sim.lidar import CHANNELS
 
 THROTTLE = 5.0  # [s] between two warnings of one kind
@@ -66,7 +72,7 @@ class CommandGate:
             self.node.destroy_subscription(self.inputs.pop())
         for h in range(len(self.inputs), episode.n_shepherds):
             self.inputs.append(
-                self.node.listen('shepherd_{h}/cmd_vel', self._receiver(h), h, kind=kind)
+                self.node.listen('shepherd_{h}/cmd_vel', self._receiver(h), h, kind=kind, raw=True)
             )
         scans = {
             f'shepherd_{h}/scan/{channel}': ('shepherd_{h}/scan/' + channel, h)
@@ -77,7 +83,7 @@ class CommandGate:
             self.node.destroy_subscription(self.scans.pop(name))
         for name in [name for name in scans if name not in self.scans]:
             topic, h = scans[name]
-            self.scans[name] = self.node.listen(topic, self._scan_receiver(name), h)
+            self.scans[name] = self.node.listen(topic, self._scan_receiver(name), h, raw=True)
 
     def expect(self, now_ns: int, dt_ns: int) -> None:
         """Begin to wait for answers to a new state."""
@@ -94,14 +100,14 @@ class CommandGate:
         """Return whether the world may move."""
         return self.commands.complete and len(self.scanned) == len(self.scans)
 
-    def _receiver(self, shepherd: int) -> Callable[[Any], None]:
-        def receive(message: Any) -> None:
-            twist = message
+    def _receiver(self, shepherd: int) -> Callable[[bytes], None]:
+        def receive(raw: bytes) -> None:
             if self.stamped:
-                if not self._accepts(shepherd, message.header):
+                ns, frame_id, velocity = decode_command(raw)
+                if not self._accepts(shepherd, ns, frame_id):
                     return
-                twist = message.twist
-            velocity = velocity_of(twist)
+            else:
+                velocity = decode_twist(raw)
             if not all(abs(part) <= LARGEST_FLOAT32 for part in velocity):
                 self._refuse(
                     'not_finite',
@@ -114,25 +120,24 @@ class CommandGate:
 
         return receive
 
-    def _scan_receiver(self, name: str) -> Callable[[Any], None]:
-        def receive(message: Any) -> None:
-            if nanoseconds(message.header.stamp) == self.now_ns:
+    def _scan_receiver(self, name: str) -> Callable[[bytes], None]:
+        def receive(raw: bytes) -> None:
+            if decode_stamp(raw, LaserScan) == self.now_ns:
                 self.scanned.add(name)
                 if self.complete:
                     self.on_answers()
 
         return receive
 
-    def _accepts(self, shepherd: int, header: Any) -> bool:
-        """Return whether a command of this header counts now."""
-        if header.frame_id != self.node.frame_id:
+    def _accepts(self, shepherd: int, ns: int, frame_id: str) -> bool:
+        """Return whether a command of this stamp and frame counts now."""
+        if frame_id != self.node.frame_id:
             self._refuse(
                 'wrong_frame',
-                f'shepherd_{shepherd}: command in frame {header.frame_id!r}, expected '
+                f'shepherd_{shepherd}: command in frame {frame_id!r}, expected '
                 f'{self.node.frame_id!r}: ignored; give velocities in the world frame',
             )
             return False
-        ns = nanoseconds(header.stamp)
         age = self.now_ns - ns
         if age == 0:
             return True

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from shepherd_ros.config import ConfigError
 from shepherd_ros.episode import Episode
 from shepherd_ros.nodes.base import ShepherdNode
@@ -60,7 +61,7 @@ class Listener:
         ns, frame_id, position, heading = decode_poses(raw)
         if not self._known_frame(f'{side}/poses', frame_id):
             return
-        if not (position.isfinite().all() and heading.isfinite().all()):
+        if not (np.isfinite(position.numpy()).all() and np.isfinite(heading.numpy()).all()):
             self.node.get_logger().warning(
                 f'{side}/poses at {ns * 1e-9:.3f} s has a NaN or infinite pose: state ignored',
                 throttle_duration_sec=5.0,

@@ -31,8 +31,10 @@ from shepherd_ros.episode import Episode
 from shepherd_ros.nodes.base import nanoseconds, stamp
 from shepherd_ros.nodes.commands import CommandBuffer
 from shepherd_ros.nodes.messages import (
+    decode_command,
     decode_poses,
-    velocity_of,
+    decode_stamp,
+    decode_twist,
 )
 from shepherd_ros.nodes.parameters import checked, descriptor
 from shepherd_ros.sim.flocking import FLOCK_MODELS
@@ -201,8 +203,7 @@ def test_a_command_is_a_stamped_velocity_in_the_plane() -> None:
     message = read_back(encode_command(NS, 'map', 0.25, -0.5), TwistStamped)
     assert nanoseconds(message.header.stamp) == NS
     assert message.header.frame_id == 'map'
-    assert velocity_of(message.twist) == (0.25, -0.5)
-    assert velocity_of(Twist()) == (0.0, 0.0)
+    assert (message.twist.linear.x, message.twist.linear.y) == (0.25, -0.5)
     others = (message.twist.linear.z, message.twist.angular.x, message.twist.angular.z)
     assert others == (0.0, 0.0, 0.0)
 
@@ -425,7 +426,35 @@ def test_goal_and_command_are_read_whatever_the_length_of_the_frame(frame_id: st
 
 
 def test_what_has_no_header_comes_back() -> None:
-    assert velocity_of(read_back(encode_twist(0.25, -0.5), Twist)) == (0.25, -0.5)
+    twist = read_back(encode_twist(0.25, -0.5), Twist)
+    assert (twist.linear.x, twist.linear.y) == (0.25, -0.5)
     assert read_back(encode_text('Schäfer {}'), String).data == 'Schäfer {}'
     assert nanoseconds(read_back(encode_clock(NS), Clock).clock) == NS
     assert read_back(encode_number(math.pi), Float64).data == math.pi
+
+
+def big_endian(frame_id: str, align: int) -> bytes:
+    """Return a header of stamp 3.5 s as a big-endian machine writes it."""
+    head = struct.pack('>iII', 3, 500_000_000, len(frame_id) + 1) + frame_id.encode() + bytes(1)
+    return b'\x00\x00\x00\x00' + head + bytes(-len(head) % align)
+
+
+@pytest.mark.parametrize('frame_id', ['', 'map', 'shepherd_0'])
+def test_commands_and_stamps_are_read_from_both_kinds_of_machine(frame_id: str) -> None:
+    message = TwistStamped()
+    message.header.stamp, message.header.frame_id = stamp(3_500_000_000), frame_id
+    message.twist.linear.x, message.twist.linear.y = 0.25, -0.5
+    expected = 3_500_000_000, frame_id, (0.25, -0.5)
+    assert decode_command(serialize_message(message)) == expected
+    assert decode_command(encode_command(3_500_000_000, frame_id, 0.25, -0.5)) == expected
+    velocity = struct.pack('>6d', 0.25, -0.5, 0.0, 0.0, 0.0, 0.0)
+    assert decode_command(big_endian(frame_id, 8) + velocity) == expected
+    assert decode_stamp(big_endian(frame_id, 8) + velocity, TwistStamped) == 3_500_000_000
+    assert decode_stamp(serialize_message(message), TwistStamped) == 3_500_000_000
+
+
+def test_a_plain_velocity_is_read_from_both_kinds_of_machine() -> None:
+    assert decode_twist(encode_twist(0.25, -0.5)) == (0.25, -0.5)
+    assert decode_twist(serialize_message(Twist())) == (0.0, 0.0)
+    velocity = struct.pack('>6d', 0.25, -0.5, 0.0, 0.0, 0.0, 0.0)
+    assert decode_twist(b'\x00\x00\x00\x00' + velocity) == (0.25, -0.5)
