@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 
-from shepherd_ros.bags.contract import CHANNELS, contract_hash, known
+from shepherd_ros.bags.contract import CHANNELS, contract_hash, known, known_text
 from shepherd_ros.bags.errors import BagError
 from shepherd_ros.bags.grouping import (
     COMMANDS,
@@ -18,7 +18,6 @@ from shepherd_ros.bags.grouping import (
     State,
 )
 from shepherd_ros.bags.reader import Bag
-from shepherd_ros.bags.schemas import schema_text
 from shepherd_ros.bags.writer import CONTRACT_KEY
 from shepherd_ros.config import unknown_name
 
@@ -120,7 +119,7 @@ def _identity(bag: Bag) -> Iterator[Finding]:
         if topic.type not in ours.types:
             expected = ' or '.join(ours.types)
             yield Finding('type', f'{topic.type!r}, expected {expected}', topic=topic.name)
-        elif bag.schemas[topic.type] != ('ros2msg', schema_text(topic.type).encode()):
+        elif bag.schemas[topic.type] != ('ros2msg', known_text(topic.type)):
             yield Finding('schema', f'the text of {topic.type} is not ours', topic=topic.name)
     theirs = bag.custom_data.get(CONTRACT_KEY)
     if theirs not in (None, contract_hash()):

@@ -72,6 +72,12 @@ def contract_hash() -> str:
 
 
 @cache
+def known_text(type_name: str) -> bytes:
+    """Return the text of a type of the contract as it stands in a bag."""
+    return schema_text(type_name).encode()
+
+
+@cache
 def type_hash(type_name: str) -> str:
     """Return the hash of a type of the contract as ROS 2 computes it: RIHS01_ and SHA-256."""
     store = get_typestore(Stores.EMPTY)

@@ -118,7 +118,8 @@ def decode_poses(raw: bytes) -> Poses:
     (count,) = cursor.take('I')
     poses = cursor.array('f8', 7 * count).reshape(count, 7)
     x, y, z, w = poses[:, 3:].T
-    heading = np.stack([1 - 2 * (y * y + z * z), 2 * (w * z + x * y)], axis=-1)
+    with np.errstate(all='ignore'):  # a quaternion may be anything
+        heading = np.stack([1 - 2 * (y * y + z * z), 2 * (w * z + x * y)], axis=-1)
     return Poses(stamp_ns, frame_id, poses[:, :2].astype(np.float64), heading.astype(np.float64))
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from shepherd_ros.bags.errors import BagError
-from shepherd_ros.bags.qos import dump_yaml, line_of, load_yaml, Qos, read_qos
+from shepherd_ros.bags.plain_yaml import dump_yaml, line_of, load_yaml
+from shepherd_ros.bags.qos import Qos, read_qos
 
 VERSION, DISTRO, STORAGE = 9, 'jazzy', 'mcap'
 FILE, KEY = 'metadata.yaml', 'rosbag2_bagfile_information'

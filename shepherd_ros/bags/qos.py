@@ -1,4 +1,4 @@
-"""Quality of service in the words of rosbag2, and YAML as rosbag2 writes it."""
+"""Quality of service in the words of rosbag2."""
 
 from __future__ import annotations
 
@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from shepherd_ros.bags.errors import BagError
+from shepherd_ros.bags.plain_yaml import dump_yaml, line_of, load_yaml
 from shepherd_ros.topics import Profile
-import yaml
 
 INFINITE = (9223372036, 854775807)  # s, ns
-LARGEST = 16 << 20  # [bytes] of metadata that are worth reading
-DEEPEST = 30  # levels of nested lists and maps; rosbag2 has 8
 # words of a policy by the numbers that versions up to 8 have
 WORDS = {
     'history': ('system_default', 'keep_last', 'keep_all', 'unknown'),
@@ -27,53 +25,7 @@ WORDS = {
         'best_available',
     ),
 }  # fmt: skip
-_LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 _DURATIONS = ('deadline', 'lifespan', 'liveliness_lease_duration')
-
-
-class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
-    """Writes nothing as ~, like rosbag2."""
-
-
-_Dumper.add_representer(
-    type(None), lambda dumper, _: dumper.represent_scalar('tag:yaml.org,2002:null', '~')
-)
-
-
-def dump_yaml(data: Any) -> str:
-    """Return plain data as YAML in block style, in the order given and with lines unbroken."""
-    return yaml.dump(
-        data, Dumper=_Dumper, default_flow_style=False, sort_keys=False, allow_unicode=True,
-        width=2**31 - 1,
-    )  # fmt: skip
-
-
-def load_yaml(text: str, path: Path) -> Any:
-    """Return the plain data of a YAML text of a file; raises BagError."""
-    try:
-        if len(text) > LARGEST:
-            raise ValueError(f'{len(text)} characters: expected at most {LARGEST}')
-        _check_nesting(text)
-        return yaml.load(text, Loader=_LOADER)
-    except (yaml.YAMLError, ValueError, TypeError, OverflowError, RecursionError) as error:
-        raise BagError(path, f'its metadata is no YAML ({line_of(error)})') from error
-
-
-def _check_nesting(text: str) -> None:
-    """Refuse what would make the loader run out of stack or of memory; raises ValueError."""
-    depth = 0
-    for event in yaml.parse(text, Loader=_LOADER):
-        if isinstance(event, yaml.CollectionStartEvent):
-            depth += 1
-        elif isinstance(event, yaml.CollectionEndEvent):
-            depth -= 1
-        if depth > DEEPEST or isinstance(event, yaml.AliasEvent):
-            raise ValueError(f'an alias, or more than {DEEPEST} levels')
-
-
-def line_of(error: Exception) -> str:
-    """Return what an error says, in one line of at most 120 characters."""
-    return ' '.join(str(error).split())[:120] or type(error).__name__
 
 
 @dataclass(frozen=True)
@@ -127,6 +79,7 @@ class Qos:
         return cls(**values, depth=int(data['depth']), avoid_ros_namespace_conventions=avoid)
 
 
+@lru_cache(maxsize=256)  # there are few that differ
 def qos_yaml(profiles: tuple[Qos, ...]) -> str:
     """Return profiles as the YAML text that MCAP channels carry."""
     return dump_yaml([profile.to_dict() for profile in profiles])

@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 from shepherd_ros.bags.errors import BagError, unreadable
 from shepherd_ros.bags.metadata import FILE, Metadata, STORAGE, TopicInfo
-from shepherd_ros.bags.qos import LARGEST, read_qos
+from shepherd_ros.bags.plain_yaml import LARGEST
+from shepherd_ros.bags.qos import read_qos
 from shepherd_ros.bags.storage import Storage
 
 

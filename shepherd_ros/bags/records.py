@@ -7,7 +7,7 @@ ends in DamageError and never in a huge allocation.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
 import struct
@@ -36,7 +36,7 @@ MESSAGE = struct.Struct('<HIQQ')  # channel, sequence, log time, publish time [n
 CHUNK = struct.Struct('<QQQII')  # first and last log time [ns], size, CRC, length of a name
 FOOTER_SIZE = PREFIX.size + 20 + len(MAGIC)  # [bytes] of everything that ends a file
 LARGEST = 256 << 20  # [bytes] of one record, and of one chunk when unpacked
-COMPRESSIONS = ('', 'lz4', 'zstd')
+PIECE = 1 << 20  # [bytes] that are unpacked at once
 _PARSED: dict[int, Any] = {
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
@@ -159,9 +159,17 @@ def unpack(chunk: Chunk, offset: int) -> bytes:
     try:
         if chunk.compression == 'zstd':
             packer = zstandard.ZstdDecompressor(max_window_size=LARGEST)
-            data = packer.stream_reader(chunk.data).read(size + 1)
+            data = _piecewise(packer.stream_reader(chunk.data).read, size)
         elif chunk.compression == 'lz4':
-            data = lz4.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+            unpacker, left = lz4.LZ4FrameDecompressor(), [chunk.data]
+            data = _piecewise(
+                lambda most: (
+                    unpacker.decompress(left.pop() if left else b'', most)
+                    if not unpacker.eof
+                    else b''
+                ),
+                size,
+            )
         elif chunk.compression == '':
             data = chunk.data
         else:
@@ -173,6 +181,17 @@ def unpack(chunk: Chunk, offset: int) -> bytes:
     if chunk.crc and zlib.crc32(data) != chunk.crc:
         raise DamageError(offset, 'a chunk whose checksum is wrong')
     return data
+
+
+def _piecewise(read: Callable[[int], bytes], size: int) -> bytes:
+    """Return what read(most) gives until it gives nothing, or one byte more than size."""
+    data = bytearray()
+    while len(data) <= size:
+        piece = read(min(PIECE, size + 1 - len(data)))
+        if not piece:
+            break
+        data += piece
+    return bytes(data)
 
 
 def contents(data: bytes, offset: int) -> Iterator[Message | Schema | Channel]:

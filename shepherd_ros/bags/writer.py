@@ -9,14 +9,13 @@ from types import TracebackType
 
 from shepherd_ros import __version__
 from shepherd_ros.bags.bag_files import BagFiles
-from shepherd_ros.bags.contract import contract_hash, known, type_hash
+from shepherd_ros.bags.contract import contract_hash, known, known_text, type_hash
 from shepherd_ros.bags.decode import CdrError, decode_string
 from shepherd_ros.bags.errors import BagError
 from shepherd_ros.bags.mcap_file import PACKERS
 from shepherd_ros.bags.metadata import Metadata, TopicInfo
 from shepherd_ros.bags.qos import Qos
 from shepherd_ros.bags.records import LARGEST
-from shepherd_ros.bags.schemas import schema_text
 from shepherd_ros.config import ConfigError, unknown_name
 
 CHUNK_SIZE = 256 << 10  # [bytes]
@@ -116,7 +115,7 @@ class BagWriter:
                 )
             return
         if schema is None:
-            schema = 'ros2msg', schema_text(type_name).encode()
+            schema = 'ros2msg', known_text(type_name)
             hash_text = type_hash(type_name) if hash_text is None else hash_text
         topic = TopicInfo(name, type_name, qos=tuple(qos), type_hash=hash_text or '')
         encoding, text = schema

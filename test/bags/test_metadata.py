@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from hypothesis import given as for_all
+from hypothesis import settings
+from hypothesis import strategies as st
 import pytest
 from shepherd_ros.bags.errors import BagError
 from shepherd_ros.bags.metadata import FileInfo, Metadata, TopicInfo
-from shepherd_ros.bags.qos import dump_yaml, Qos, qos_yaml, read_qos
+from shepherd_ros.bags.plain_yaml import dump_yaml
+from shepherd_ros.bags.qos import Qos, qos_yaml, read_qos
 from shepherd_ros.topics import contract
 import yaml
 
@@ -39,34 +43,34 @@ rosbag2_bagfile_information:
     nanoseconds_since_epoch: 100
   message_count: 3
   topics_with_message_count:
-  - topic_metadata:
-      name: /episode
-      type: std_msgs/msg/String
-      serialization_format: cdr
-      offered_qos_profiles:
-{''.join('      ' + line for line in QOS.splitlines(keepends=True))}\
-      type_description_hash: {HASH}
-    message_count: 3
-  compression_format: ''
-  compression_mode: ''
+    - topic_metadata:
+        name: /episode
+        type: std_msgs/msg/String
+        serialization_format: cdr
+        offered_qos_profiles:
+{''.join('          ' + line for line in QOS.splitlines(keepends=True))}\
+        type_description_hash: {HASH}
+      message_count: 3
+  compression_format: ""
+  compression_mode: ""
   relative_file_paths:
-  - bag_0.mcap
-  - bag_1.mcap
+    - bag_0.mcap
+    - bag_1.mcap
   files:
-  - path: bag_0.mcap
-    starting_time:
-      nanoseconds_since_epoch: 100
-    duration:
-      nanoseconds: 10
-    message_count: 2
-  - path: bag_1.mcap
-    starting_time:
-      nanoseconds_since_epoch: 130
-    duration:
-      nanoseconds: 0
-    message_count: 1
+    - path: bag_0.mcap
+      starting_time:
+        nanoseconds_since_epoch: 100
+      duration:
+        nanoseconds: 10
+      message_count: 2
+    - path: bag_1.mcap
+      starting_time:
+        nanoseconds_since_epoch: 130
+      duration:
+        nanoseconds: 0
+      message_count: 1
   custom_data:
-    key: '9'
+    key: "9"
   ros_distro: jazzy
 """
 VERSION_4 = """\
@@ -157,6 +161,20 @@ def test_older_versions_have_numbers_in_a_text() -> None:
 
 def test_no_anchors_in_yaml_even_for_equal_parts() -> None:
     assert '&' not in qos_yaml((LATCHED, LATCHED))
+
+
+TEXT = st.text() | st.text('-:#[]{},&*!|>%@`?~ \n\t"\\0123456789.eE_xyno')
+PLAIN = st.recursive(
+    TEXT | st.integers() | st.booleans() | st.none(),
+    lambda inner: st.lists(inner) | st.dictionaries(TEXT, inner),
+    max_leaves=8,
+)
+
+
+@settings(max_examples=150, deadline=None)
+@for_all(PLAIN)
+def test_yaml_says_the_same_to_others(data: object) -> None:
+    assert yaml.safe_load(dump_yaml(data)) == data
 
 
 def test_text_that_yaml_would_take_for_something_else_stays_text() -> None:

@@ -95,10 +95,8 @@ def test_a_file_that_was_cut_off_loses_what_was_cut(
 
 
 @pytest.mark.parametrize('seed', range(20))
-@pytest.mark.parametrize('compression', ['none', 'zstd'])
-def test_a_torn_place_costs_the_chunks_that_it_touches(
-    tmp_path: Path, seed: int, compression: str
-) -> None:
+def test_a_torn_place_costs_the_chunks_that_it_touches(tmp_path: Path, seed: int) -> None:
+    compression = ('none', 'zstd', 'lz4')[seed % 3]
     folder = tiny_bag(tmp_path / 'bag', chunk_size=CHUNK, compression=compression)
     path = folder / 'bag_0.mcap'
     chunks = Storage(path).chunks
