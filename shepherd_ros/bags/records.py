@@ -21,7 +21,6 @@ from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
     ChunkIndex,
-    Footer,
     Metadata,
     MetadataIndex,
     Schema,
@@ -41,7 +40,6 @@ _PARSED: dict[int, Any] = {
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
     Opcode.CHUNK_INDEX: ChunkIndex,
-    Opcode.FOOTER: Footer,
     Opcode.METADATA: Metadata,
     Opcode.METADATA_INDEX: MetadataIndex,
     Opcode.STATISTICS: Statistics,

@@ -31,7 +31,7 @@ def executable(name: str) -> str:
 
 def isolate(environment: MutableMapping[str, str]) -> None:
     """Set what keeps a stack to this machine and quick to start, unless the user has set it."""
-    environment.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
+    environment.setdefault('ROS_DOMAIN_ID', str(102 + os.getpid() % 100))  # tests: 1 to 101
     environment.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     environment.setdefault('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4')
     profile = share_file('config', 'fastdds_quick.xml')

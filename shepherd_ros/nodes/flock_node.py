@@ -185,6 +185,8 @@ class FlockSim(ShepherdNode):
             if waited > PAUSED_RESEND:
                 self.publish_state(again=True)
         elif waited > self.resend:
+            if self.gate.named:  # who is silent for long may know of another episode
+                self.output.episode(self.now_ns, self.episode, self.state, seconds=0.0)
             self.publish_state(again=True)
         self.gate.watch(self.patience)
 

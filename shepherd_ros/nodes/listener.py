@@ -44,11 +44,13 @@ class Listener:
 
     def _on_episode(self, message: Any) -> None:
         try:
-            self.episode = Episode.from_json(message.data)
+            episode = Episode.from_json(message.data)
         except ConfigError as error:
             self.node.get_logger().error(str(error))
             return
-        self.on_episode(self.episode)
+        if episode != self.episode:  # flock_sim repeats the present one to those who are silent
+            self.episode = episode
+            self.on_episode(episode)
         self._pair()
 
     def _on_goal(self, message: Any) -> None:

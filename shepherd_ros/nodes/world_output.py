@@ -25,11 +25,11 @@ class WorldOutput:
         self.transforms = TransformOutput(node)
         self.drawn = 0.0
 
-    def episode(self, ns: int, episode: Episode, state: WorldState) -> None:
+    def episode(self, ns: int, episode: Episode, state: WorldState, seconds: float = 0.2) -> None:
         """Publish what is latched, and wait until everybody has it: states come after it."""
         self.outputs['episode'].publish(encode_text(episode.to_json()))
         self.goal(ns, state)
-        self.wait('episode', 'goal', seconds=0.2)
+        self.wait('episode', 'goal', seconds=seconds)
 
     def goal(self, ns: int, state: WorldState) -> None:
         """Publish where the goal is."""

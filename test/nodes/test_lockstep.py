@@ -5,11 +5,13 @@ from __future__ import annotations
 from signal import SIGCONT, SIGSTOP
 from typing import Any
 
-from nodes.process import assert_same_states, Graph, Process, rollout, Track
+from nodes.process import assert_same_states, Graph, LATCHED, Process, rollout, Track
 import pytest
+from shepherd_ros.episode import Episode
 from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.lidar import CHANNELS
 from shepherd_ros.sim.world import WorldConfig
+from std_msgs.msg import String
 
 STEPS = 30
 SMALL: dict[str, Any] = {'n_sheep': 20, 'n_shepherds': 2, 'episode_steps': STEPS, 'episodes': 1}
@@ -166,3 +168,17 @@ def test_nodes_that_join_a_running_world_late_follow_from_there(graph: Graph) ->
     graph.until(lambda: metrics.listener.states > 5, 'states for who joined late')
     assert metrics.listener.episode == sim.episode
     assert int(metrics.before.step) > 5
+
+
+def test_a_world_goes_on_after_its_nodes_were_told_of_another_episode(graph: Graph) -> None:
+    track = graph.track()
+    sim = graph.start('flock_sim', **(SMALL | {'episode_steps': 100_000}), **QUICK)
+    graph.start('strombom')
+    graph.until(lambda: len(track.stamps) > 3, 'a few steps')
+    other = Episode(9, 9, 10**15, 3, 1, 4.0, 'map', 'lockstep', WorldConfig())
+    foreign = graph.publisher('episode', String, LATCHED)
+    foreign.publish(String(data=other.to_json()))
+    graph.until_says(sim, 'waiting at .* shepherd_0/cmd_vel')
+    graph.until_says(sim, 'answering again')
+    seen = track.last
+    graph.until(lambda: track.last > seen, 'the world goes on')
