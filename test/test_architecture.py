@@ -69,7 +69,10 @@ IMPURE = {
 GLOBAL_TOPICS = {'/clock', '/diagnostics', '/tf'}  # whose names ROS 2 fixes
 LONGEST_FILE, LONGEST_SCRIPT = 300, 39  # lines
 ROSDEP = {'PIL': 'python3-pil'}  # where the key of rosdep is not python3-<package>
-WITH_PIP = {'imageio', 'numba', 'plotly', 'torch', 'tyro'}  # not from rosdep
+WITH_PIP = {  # not from rosdep
+    'imageio', 'lz4', 'mcap', 'numba', 'plotly', 'pyarrow', 'rosbags', 'torch', 'tyro',
+    'zstandard',
+}  # fmt: skip
 PYPI = {'PIL': 'pillow', 'yaml': 'pyyaml'}  # where the distribution has another name
 
 
