@@ -174,7 +174,7 @@ def test_a_world_goes_on_after_its_nodes_were_told_of_another_episode(graph: Gra
     track = graph.track()
     sim = graph.start('flock_sim', **(SMALL | {'episode_steps': 100_000}), **QUICK)
     graph.start('strombom')
-    graph.until(lambda: len(track.stamps) > 3, 'a few steps')
+    graph.until(lambda: len(track.stamps) > 100, 'everybody answers')
     other = Episode(9, 9, 10**15, 3, 1, 4.0, 'map', 'lockstep', WorldConfig())
     foreign = graph.publisher('episode', String, LATCHED)
     foreign.publish(String(data=other.to_json()))
