@@ -14,6 +14,8 @@ import math
 from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.controllers.base import Controller, Memory, places_on_arc
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.kernels import usable
+from shepherd_ros.sim.kernels.pierson import pierson_act
 from shepherd_ros.sim.metrics import flock_spread
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, wrap
@@ -91,28 +93,39 @@ class PiersonController(Controller):
 
     def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return commands, (..., H, 2) m/s, and the turned heading."""
-        config, center, flock = self.config, seen.center, self.world.flock
-        heading = memory['heading']
+        config, world, flock, heading = (
+            self.config,
+            self.world,
+            self.world.flock,
+            memory['heading'],
+        )
+        notice = flock.shepherd_range if isinstance(flock, StrombomFlock) else 65 / 3
+        max_radius = max(config.max_radius or 0.75 * notice, config.min_radius)
+        gain = config.tracking_gain or min(1 / world.dt, 2.0)
+        pace = max(flock.speed, 1e-9)
+        if usable(seen.sheep, seen.shepherds, heading):
+            velocity, heading = pierson_act(
+                seen, heading, config, max_radius, gain, pace, world.dt, world.shepherd_speed
+            )
+            return velocity, {'heading': heading}
+        center = seen.center
         forward = from_bearing(heading)
         ahead = center + config.lead * forward - seen.goal  # p - g
         left = torch.stack([-forward[..., 1], forward[..., 0]], dim=-1)
         speed = -config.gain * (ahead * forward).sum(dim=-1)
         turn_rate = -config.gain / config.lead * (ahead * left).sum(dim=-1)
         turn_rate = turn_rate.clamp(-config.max_turn_rate, config.max_turn_rate)
-        heading = wrap(heading + turn_rate * self.world.dt)
+        heading = wrap(heading + turn_rate * world.dt)
 
         team = seen.team_size.to(heading.dtype)
-        share = (speed / max(flock.speed, 1e-9)).clamp(config.weakest_push, config.strongest_push)
+        share = (speed / pace).clamp(config.weakest_push, config.strongest_push)
         opening = opening_for(share, team.clamp(min=2))
-        notice = flock.shepherd_range if isinstance(flock, StrombomFlock) else 65 / 3
         spread = flock_spread(seen)[0]
-        radius = (config.spread_factor * spread).clamp(
-            config.min_radius, max(config.max_radius or 0.75 * notice, config.min_radius)
-        )
+        radius = (config.spread_factor * spread).clamp(config.min_radius, max_radius)
         # one shepherd stands opposite to the way to the goal, at the same radius
         rear = torch.where(team == 1, bearing(seen.goal - center), heading) + math.pi
         spacing = torch.where(team == 1, 0.0, opening / (team - 1).clamp(min=1))[..., None]
-        if self.config.assignment == 'sorted':
+        if config.assignment == 'sorted':
             around = wrap(bearing(seen.shepherds - center[..., None, :]) - rear[..., None])
             place = places_on_arc(around, spacing, seen.shepherd_mask)
         else:
@@ -120,8 +133,7 @@ class PiersonController(Controller):
             place = (index - (team[..., None] - 1) / 2) * spacing
         place = rear[..., None] + place
         target = center[..., None, :] + radius[..., None, None] * from_bearing(place)
-        gain = config.tracking_gain or min(1 / self.world.dt, 2.0)
-        velocity = clip_norm(gain * (target - seen.shepherds), self.world.shepherd_speed)
+        velocity = clip_norm(gain * (target - seen.shepherds), world.shepherd_speed)
         return velocity * seen.shepherd_mask[..., None], {'heading': heading}
 
 

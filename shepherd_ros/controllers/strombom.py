@@ -14,6 +14,8 @@ import math
 from shepherd_ros.config import Config, option
 from shepherd_ros.controllers.base import Controller, Memory, places_on_arc
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.kernels import usable
+from shepherd_ros.sim.kernels.strombom import strombom_act
 from shepherd_ros.sim.noise import direction, Stream
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import bearing, from_bearing, unit, wrap
@@ -65,6 +67,9 @@ class StrombomController(Controller):
 
     def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return commands, (..., H, 2) m/s."""
+        if usable(seen.sheep, seen.shepherds):
+            r, world = self.interaction_range, self.world
+            return strombom_act(seen, self.config, r, world.dt, world.shepherd_speed), memory
         center = seen.center
         distance = torch.linalg.vector_norm(seen.sheep - center[..., None, :], dim=-1)
         distance = distance.masked_fill(~seen.sheep_mask, 0.0)

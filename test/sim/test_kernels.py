@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from shepherd_ros.controllers import make_controller
 from shepherd_ros.sim import kernels
 from shepherd_ros.sim.flocking import model_of
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
@@ -23,6 +24,13 @@ FLOCKS = [
     StrombomFlock(shepherd_range=6.0, graze_probability=0.5),
     ReynoldsFlock(),
     ReynoldsFlock(view_range=2.0, max_acceleration=5.0),
+]
+CONTROLLERS = [
+    ('strombom', {}),
+    ('strombom', {'position_law': 'elfiqi', 'wing_spacing': 0.4, 'noise': 0.0}),
+    ('strombom', {'stop_range': 0.0, 'arc_margin': 8.0, 'interaction_range': 2.0}),
+    ('pierson', {}),
+    ('pierson', {'assignment': 'fixed', 'max_radius': 6.0, 'tracking_gain': 0.5}),
 ]
 
 
@@ -74,3 +82,43 @@ def test_a_compiled_scan_of_chosen_shepherds_is_those_rows_of_the_whole() -> Non
     chosen = torch.tensor([3, 1])
     part = scan(state, LidarConfig(range_noise=0.1, dropout=0.2), chosen)
     assert torch.equal(part, whole[:, chosen])
+
+
+@pytest.mark.parametrize('n_sheep', [1, 2, 30, 100])
+@pytest.mark.parametrize(('name', 'options'), CONTROLLERS)
+def test_a_compiled_controller_answers_as_the_plain_one_but_where_places_are_equally_good(
+    monkeypatch, name, options, n_sheep
+) -> None:
+    config, state = worlds(StrombomFlock(), n_sheep, batch=12)
+    controller = make_controller(name, config, **options)
+    memory, same = controller.begin(state), []
+    for _ in range(20):
+        (fast, after), (plain, expected) = both(
+            monkeypatch, lambda now=state, m=memory: controller.act(now, m)
+        )
+        torch.testing.assert_close(after, expected, atol=1e-5, rtol=0)
+        same.append((fast - plain).abs().amax(dim=(-2, -1)) < 5e-4)
+        state, memory = step(state, plain, config), expected
+    assert torch.stack(same).float().mean() > 0.99  # of 240; a draw falls by the last digit
+
+
+@pytest.mark.parametrize('name', ['strombom', 'pierson'])
+def test_a_compiled_controller_answers_a_world_of_a_batch_as_it_does_that_world_alone(
+    name: str,
+) -> None:
+    config, state = worlds(StrombomFlock(), 30, batch=5)
+    controller = make_controller(name, config)
+    whole, _ = controller.act(state, controller.begin(state))
+    for k in range(5):
+        alone = state.world(k)
+        assert torch.equal(controller.act(alone, controller.begin(alone))[0], whole[k])
+
+
+@pytest.mark.parametrize('scale', [0.0, 0.01, 1.0, 1000.0])
+def test_the_farthest_sheep_are_found_however_wide_the_flock_is(monkeypatch, scale: float) -> None:
+    flock = StrombomFlock(n_neighbors=60, shepherd_range=1e6, metric_attraction=True)
+    config, state = worlds(flock, 100, batch=3)
+    state = replace(state, sheep=state.sheep[:, :1] + scale * (state.sheep - state.sheep[:, :1]))
+    law = model_of(flock).step
+    fast, plain = both(monkeypatch, lambda: law(state, flock, config.dt))
+    torch.testing.assert_close(fast, plain, atol=1e-4, rtol=1e-6)

@@ -39,5 +39,5 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def flat(tensor: Tensor, keep: int) -> np.ndarray:
     """Return a tensor as a contiguous array with its leading axes made one and the last kept."""
-    shape = tensor.shape
-    return tensor.reshape(-1, *shape[len(shape) - keep :]).contiguous().numpy()
+    array: np.ndarray = tensor.numpy()
+    return np.ascontiguousarray(array.reshape(-1, *array.shape[array.ndim - keep :]))

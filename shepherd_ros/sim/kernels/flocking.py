@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from shepherd_ros.sim.kernels import compiled, flat
 from shepherd_ros.sim.kernels.noise import direction_at, key_of, uniform_at
+from shepherd_ros.sim.kernels.vectors import unit
 from shepherd_ros.sim.noise import Stream
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import EPSILON
@@ -18,14 +19,7 @@ from torch import Tensor
 _TURN, _GRAZE = int(Stream.TURN), int(Stream.GRAZE)
 _EPSILON = np.float32(EPSILON)
 _ZERO, _ONE = np.float32(0), np.float32(1)
-
-
-@compiled
-def _unit(x, y):
-    length = np.float32(math.sqrt(x * x + y * y))
-    if length < _EPSILON:
-        return _ZERO, _ZERO
-    return x / length, y / length
+_SLACK = np.float32(1e-5)  # of the flock's extent: far more than distances are rounded by
 
 
 @compiled
@@ -45,24 +39,72 @@ def _push(x, y, others, mask, reach):
 
 
 @compiled
-def _sum_of_extremes(i, sheep, mask, squared, keep, sign, best, index):
-    """Return the sum of the keep sheep nearest to sheep i (sign 1) or farthest (sign -1)."""
+def _sum_of_farthest(i, sheep, near, order, out, slack, keep, best, index):
+    """
+    Return the sum of near (N, 2) over the keep sheep farthest from sheep i.
+
+    order (P,) is who is present, from the rim of the flock inward, and out (P,) [m] how far out:
+    nobody is farther from i than both are out together, so the search ends early.
+    """
+    own = out[i]
+    found = 0
+    for j in order:
+        if found == keep:
+            farthest = own + out[j] + slack
+            if farthest * farthest < best[keep - 1]:
+                break
+        if j == i:
+            continue
+        dx, dy = sheep[i, 0] - sheep[j, 0], sheep[i, 1] - sheep[j, 1]
+        squared = dx * dx + dy * dy
+        k = found if found < keep else keep
+        while k > 0 and (best[k - 1] < squared or (best[k - 1] == squared and index[k - 1] > j)):
+            k -= 1
+        if k == keep:
+            continue
+        found = min(found + 1, keep)
+        for m in range(found - 1, k, -1):
+            best[m], index[m] = best[m - 1], index[m - 1]
+        best[k], index[k] = squared, j
+    sum_x, sum_y = _ZERO, _ZERO
+    for k in range(found):
+        sum_x += near[index[k], 0]
+        sum_y += near[index[k], 1]
+    return sum_x, sum_y
+
+
+@compiled
+def _sum_of_nearest(i, sheep, near, mask, keep, best, index):
+    """Return the sum of near (N, 2) over the keep sheep nearest to sheep i."""
     found = 0
     for j in range(sheep.shape[0]):
-        key = sign * squared[j]
-        if j == i or not mask[j] or (found == keep and key >= best[found - 1]):
+        dx, dy = sheep[i, 0] - sheep[j, 0], sheep[i, 1] - sheep[j, 1]
+        squared = dx * dx + dy * dy
+        if j == i or not mask[j] or (found == keep and squared >= best[found - 1]):
             continue
         k = found if found < keep else found - 1
-        while k > 0 and best[k - 1] > key:
+        while k > 0 and best[k - 1] > squared:
             best[k], index[k] = best[k - 1], index[k - 1]
             k -= 1
-        best[k], index[k] = key, j
+        best[k], index[k] = squared, j
         found = min(found + 1, keep)
     sum_x, sum_y = _ZERO, _ZERO
     for k in range(found):
-        sum_x += sheep[index[k], 0]
-        sum_y += sheep[index[k], 1]
+        sum_x += near[index[k], 0]
+        sum_y += near[index[k], 1]
     return sum_x, sum_y
+
+
+@compiled
+def _from_the_rim(near, mask, sum_x, sum_y, count, out):
+    """Write how far from the center each sheep is, (N,) m; return the present, farthest first."""
+    x, y = sum_x / np.float32(count), sum_y / np.float32(count)
+    key = np.empty(near.shape[0], np.float32)
+    for j in range(near.shape[0]):
+        dx, dy = near[j, 0] - x, near[j, 1] - y
+        out[j] = np.float32(math.sqrt(dx * dx + dy * dy))
+        key[j] = -out[j] if mask[j] else _ONE
+    return np.argsort(key)[:count]
 
 
 @compiled
@@ -71,7 +113,7 @@ def _strombom(
     sheep_range, rho_a, c, rho_s, h, e, p, stride, normalize, metric, new_sheep, new_heading,
 ):  # fmt: skip
     n = sheep.shape[1]
-    squared, best = np.empty(n, np.float32), np.empty(n, np.float32)
+    out, best = np.empty(n, np.float32), np.empty(n, np.float32)
     index = np.empty(n, np.int64)
     for b in range(sheep.shape[0]):
         turn, graze = key_of(seed[b], step[b], _TURN), key_of(seed[b], step[b], _GRAZE)
@@ -86,6 +128,11 @@ def _strombom(
                 sum_y += near[j, 1]
         far = others - n_neighbors
         count = min(others, n_neighbors)
+        few_far = 0 < far <= n_neighbors
+        order, slack = index, _ZERO
+        if few_far:
+            order = _from_the_rim(near, mask[b], sum_x, sum_y, others + 1, out)
+            slack = _SLACK * out[order[0]]
         for i in range(n):
             x, y = sheep[b, i, 0], sheep[b, i, 1]
             random_x, random_y = direction_at(turn, i)
@@ -96,28 +143,24 @@ def _strombom(
                 to_x, to_y = _ZERO, _ZERO
                 if count > 0:
                     to_x, to_y = sum_x - near[i, 0], sum_y - near[i, 1]
-                    if far > 0:
-                        for j in range(n):
-                            dx, dy = x - sheep[b, j, 0], y - sheep[b, j, 1]
-                            squared[j] = dx * dx + dy * dy
-                        if far <= n_neighbors:
-                            far_x, far_y = _sum_of_extremes(
-                                i, near, mask[b], squared, far, np.float32(-1), best, index
-                            )
-                            to_x, to_y = to_x - far_x, to_y - far_y
-                        else:
-                            to_x, to_y = _sum_of_extremes(
-                                i, near, mask[b], squared, count, _ONE, best, index
-                            )
+                    if few_far:
+                        far_x, far_y = _sum_of_farthest(
+                            i, sheep[b], near, order, out, slack, far, best, index
+                        )
+                        to_x, to_y = to_x - far_x, to_y - far_y
+                    elif far > 0:
+                        to_x, to_y = _sum_of_nearest(
+                            i, sheep[b], near, mask[b], count, best, index
+                        )
                     to_x = to_x / np.float32(count) - near[i, 0]
                     to_y = to_y / np.float32(count) - near[i, 1]
                 if not metric:
-                    to_x, to_y = _unit(to_x, to_y)
+                    to_x, to_y = unit(to_x, to_y)
                 apart_x, apart_y, _ = _push(x, y, sheep[b], mask[b], sheep_range)
-                apart_x, apart_y = _unit(apart_x, apart_y)
+                apart_x, apart_y = unit(apart_x, apart_y)
                 if normalize:
-                    away_x, away_y = _unit(away_x, away_y)
-                new_x, new_y = _unit(
+                    away_x, away_y = unit(away_x, away_y)
+                new_x, new_y = unit(
                     h * way_x + c * to_x + rho_a * apart_x + rho_s * away_x + e * random_x,
                     h * way_y + c * to_y + rho_a * apart_y + rho_s * away_y + e * random_y,
                 )
@@ -214,7 +257,7 @@ def _reynolds(
             if length > limit:
                 scale = limit / max(length, _EPSILON)
                 force_x, force_y = force_x * scale, force_y * scale
-            way_x, way_y = _unit(u + force_x * dt, v + force_y * dt)
+            way_x, way_y = unit(u + force_x * dt, v + force_y * dt)
             if way_x == 0 and way_y == 0:
                 way_x, way_y = heading[b, i, 0], heading[b, i, 1]
             new_heading[b, i, 0], new_heading[b, i, 1] = way_x, way_y
