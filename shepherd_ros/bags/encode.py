@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 import struct
 
 import numpy as np
@@ -18,8 +19,14 @@ def _string(text: str) -> bytes:
 
 def _header(ns: int, frame_id: str, align: int) -> bytes:
     """Return a std_msgs/Header, padded so that what follows is aligned to a size [bytes]."""
-    head = struct.pack('<iI', ns // SECOND, ns % SECOND) + _string(frame_id)
-    return head + bytes(-len(head) % align)
+    return struct.pack('<iI', ns // SECOND, ns % SECOND) + _frame(frame_id, align)
+
+
+@lru_cache(maxsize=256)
+def _frame(frame_id: str, align: int) -> bytes:
+    """Return the frame of a header, which begins at a multiple of 8 bytes, with its padding."""
+    text = _string(frame_id)
+    return text + bytes(-len(text) % align)
 
 
 def encode_poses(ns: int, frame_id: str, position: np.ndarray, heading: np.ndarray) -> bytes:
@@ -43,11 +50,17 @@ def encode_scan(
     ns: int, frame_id: str, ranges: np.ndarray, range_max: float, scan_time: float
 ) -> bytes:
     """Return ranges (R,) m of a full circle from +x as sensor_msgs/LaserScan; +inf for none."""
-    pitch = 2 * np.pi / len(ranges)
-    last = (len(ranges) - 1) * pitch
-    head = struct.pack('<7fI', 0.0, last, pitch, 0.0, scan_time, 0.0, range_max, len(ranges))
+    about = _scan_form(len(ranges), range_max, scan_time)
     values = np.ascontiguousarray(ranges, '<f4').tobytes()
-    return ENCAPSULATION + _header(ns, frame_id, 4) + head + values + struct.pack('<I', 0)
+    return b''.join((ENCAPSULATION, _header(ns, frame_id, 4), about, values, bytes(4)))
+
+
+@lru_cache(maxsize=256)
+def _scan_form(n_rays: int, range_max: float, scan_time: float) -> bytes:
+    """Return what a sensor_msgs/LaserScan has between its header and its ranges."""
+    pitch = 2 * np.pi / n_rays
+    last = (n_rays - 1) * pitch
+    return struct.pack('<7fI', 0.0, last, pitch, 0.0, scan_time, 0.0, range_max, n_rays)
 
 
 def encode_twist(x: float, y: float) -> bytes:

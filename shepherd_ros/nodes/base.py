@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
+import time
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -89,7 +90,7 @@ class ShepherdNode(Node):
 
     def wall(self) -> float:
         """Return seconds of a wall clock that never jumps."""
-        return float(self.steady.now().nanoseconds) * 1e-9
+        return time.monotonic()
 
     def end(self) -> int:
         """Finish what was begun and return the exit code of the process."""

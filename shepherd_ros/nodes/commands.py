@@ -13,7 +13,7 @@ class CommandBuffer:
     """Last command of each shepherd, and whether it answers the present state."""
 
     n_shepherds: int
-    velocity: Tensor = field(init=False)  # (H, 2) m/s, NaN kept as it came
+    velocities: list[tuple[float, float]] = field(init=False)  # m/s, NaN kept as it came
     answered: list[bool] = field(init=False)
     age: list[int] = field(init=False)  # steps since the last command; huge if there was none
 
@@ -21,7 +21,7 @@ class CommandBuffer:
 
     def __post_init__(self) -> None:
         """Start with no command from anybody."""
-        self.velocity = torch.zeros(self.n_shepherds, 2)
+        self.velocities = [(0.0, 0.0)] * self.n_shepherds
         self.answered = [False] * self.n_shepherds
         self.age = [self.NEVER] * self.n_shepherds
 
@@ -32,9 +32,14 @@ class CommandBuffer:
 
     def add(self, shepherd: int, velocity: tuple[float, float]) -> None:
         """Take a command as the answer to the present state; a later one replaces it."""
-        self.velocity[shepherd, 0], self.velocity[shepherd, 1] = velocity
+        self.velocities[shepherd] = velocity
         self.answered[shepherd] = True
         self.age[shepherd] = 0
+
+    @property
+    def velocity(self) -> Tensor:
+        """Return the last commands as they came, (H, 2) m/s; zero before the first."""
+        return torch.tensor(self.velocities, dtype=torch.float32).reshape(-1, 2)
 
     @property
     def complete(self) -> bool:

@@ -155,7 +155,7 @@ class FlockSim(ShepherdNode):
     def on_answers(self) -> None:
         """In lockstep: every shepherd has answered."""
         if self.mode == 'lockstep' and self.may_move():
-            self.advance(self.gate.commands.velocity.clone())
+            self.advance(self.gate.commands.velocity)
 
     def on_tick(self) -> None:
         """In realtime: it is time for a step."""

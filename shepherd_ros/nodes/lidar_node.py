@@ -46,12 +46,14 @@ class LidarNode(ShepherdNode):
         }
         self.markers = self.advertise('markers')
         self.present: list[int] = []
+        self.chosen = torch.tensor(self.present)
         self.drawn = 0.0
         self.listener = Listener(self, self.on_state, self.on_episode)
 
     def on_episode(self, episode: Episode) -> None:
         """Find out which of the shepherds are there."""
         self.present = [h for h in self.shepherd_ids if 0 <= h < episode.n_shepherds]
+        self.chosen = torch.tensor(self.present, dtype=torch.int64)
         if self.present != self.shepherd_ids:
             missing = sorted(set(self.shepherd_ids) - set(self.present))
             self.get_logger().error(
@@ -64,20 +66,19 @@ class LidarNode(ShepherdNode):
         if not self.present:
             return
         seen = perceive(state, self.noise_std)
-        ranges = scan(seen, self.config, torch.tensor(self.present))
-        draw = self.markers.get_subscription_count() and self.wall() - self.drawn > MARKER_PERIOD
+        ranges = scan(seen, self.config, self.chosen).numpy()
+        draw = self.wall() - self.drawn > MARKER_PERIOD
         for row, h in zip(ranges, self.present, strict=True):
             frame = self.scan_frame.replace('{h}', str(h))
             for output, channel in zip(self.outputs[h], row, strict=True):
                 output.publish(
-                    encode_scan(
-                        ns, frame, channel.numpy(), self.config.range_max, episode.world.dt
-                    )
+                    encode_scan(ns, frame, channel, self.config.range_max, episode.world.dt)
                 )
-            if draw:
-                origin = state.shepherds[h]
-                self.markers.publish(ray_markers(ns, self.frame_id, h, origin, row))
-                self.drawn = self.wall()
+            if draw and self.markers.get_subscription_count():
+                origin, seen_by_h = state.shepherds[h], torch.from_numpy(row)
+                self.markers.publish(ray_markers(ns, self.frame_id, h, origin, seen_by_h))
+        if draw:
+            self.drawn = self.wall()
 
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return whether states come in and the shepherds exist."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,14 @@ from shepherd_ros.nodes.messages import decode_poses
 from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor
+
+
+@lru_cache(maxsize=4)  # nodes in one process hear the same bytes
+def _hear(raw: bytes) -> tuple[int, str, Tensor, Tensor, bool]:
+    """Return what decode_poses() does, and whether all of it is finite."""
+    ns, frame_id, position, heading = decode_poses(raw)
+    finite = np.isfinite(position.numpy()).all() and np.isfinite(heading.numpy()).all()
+    return ns, frame_id, position, heading, bool(finite)
 
 
 class Listener:
@@ -37,6 +46,7 @@ class Listener:
         self.goal: Tensor | None = None
         self.states = 0
         self._halves: dict[str, tuple[int, Tensor, Tensor]] = {}
+        self._same: dict[str, Tensor] = {}  # what all states of the episode share
         node.listen('episode', self._on_episode)
         node.listen('goal', self._on_goal)
         node.listen('flock/poses', lambda raw: self._on_poses('flock', raw), raw=True)
@@ -50,6 +60,12 @@ class Listener:
             return
         if episode != self.episode:  # flock_sim repeats the present one to those who are silent
             self.episode = episode
+            self._same = {
+                'seed': torch.tensor(episode.seed),
+                'sheep_mask': torch.ones(episode.n_sheep, dtype=torch.bool),
+                'shepherd_mask': torch.ones(episode.n_shepherds, dtype=torch.bool),
+                'goal_radius': torch.tensor(episode.goal_radius, dtype=torch.float32),
+            }
             self.on_episode(episode)
         self._pair()
 
@@ -60,10 +76,10 @@ class Listener:
             self._pair()
 
     def _on_poses(self, side: str, raw: bytes) -> None:
-        ns, frame_id, position, heading = decode_poses(raw)
+        ns, frame_id, position, heading, finite = _hear(raw)
         if not self._known_frame(f'{side}/poses', frame_id):
             return
-        if not (np.isfinite(position.numpy()).all() and np.isfinite(heading.numpy()).all()):
+        if not finite:
             self.node.get_logger().warning(
                 f'{side}/poses at {ns * 1e-9:.3f} s has a NaN or infinite pose: state ignored',
                 throttle_duration_sec=5.0,
@@ -96,14 +112,11 @@ class Listener:
         self._halves.clear()
         self.states += 1
         state = WorldState(
-            seed=torch.tensor(episode.seed),
             step=torch.tensor(episode.step_of(ns)),
             sheep=sheep,
             heading=heading,
-            sheep_mask=torch.ones(len(sheep), dtype=torch.bool),
             shepherds=shepherds,
-            shepherd_mask=torch.ones(len(shepherds), dtype=torch.bool),
             goal=goal,
-            goal_radius=torch.tensor(episode.goal_radius, dtype=torch.float32),
+            **self._same,
         )
         self.on_state(ns, state, episode)

@@ -27,7 +27,8 @@ def decode_stamp(raw: bytes, kind: Any) -> int:
     """Return the stamp [ns] of a message of a kind with a header."""
     if raw[:4] != ENCAPSULATION:
         return nanoseconds(deserialize_message(raw, kind).header.stamp)
-    return decode_header(raw)[0]
+    sec, nanosec = struct.unpack_from('<iI', raw, 4)
+    return int(sec * 1_000_000_000 + nanosec)
 
 
 def decode_poses(raw: bytes) -> tuple[int, str, Tensor, Tensor]:
