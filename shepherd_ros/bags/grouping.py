@@ -90,6 +90,7 @@ class State:
     shepherds: Poses | None = None
     scans: dict[tuple[int, int], Ranges] = field(default_factory=dict)  # by shepherd, channel
     commands: dict[int, Floats] = field(default_factory=dict)  # by shepherd
+    raw: dict[str, bytes] = field(default_factory=dict)  # poses and scans by topic, if kept
 
 
 @dataclass
@@ -143,13 +144,15 @@ class Groups:
     """
     The episodes of a namespace in the order of the recording; iterating raises BagError.
 
-    parts are names of the contract that are read. The episode being read is in memory, and the
-    one before until it is settled.
+    parts are names of the contract that are read; keep: also the bytes of poses and scans. The
+    episode being read is in memory, and the one before until it is settled.
     """
 
-    def __init__(self, bag: Bag, namespace: str = '', parts: Collection[str] = ALL) -> None:
+    def __init__(
+        self, bag: Bag, namespace: str = '', parts: Collection[str] = ALL, keep: bool = False
+    ) -> None:
         """Find out which topics are wanted."""
-        self.bag, self.namespace = bag, namespace
+        self.bag, self.namespace, self.keep = bag, namespace, keep
         self.stray: Counter[str] = Counter()  # messages that are of no episode, by topic
         self.wanted = {
             name: ours
@@ -164,7 +167,8 @@ class Groups:
         for message in self.bag.messages(self.wanted):
             yield from sorter.begin_until(message.log_ns)
             ours = self.wanted[message.topic]
-            if not sorter.add(ours, decoded(self.bag, message, ours.types)):
+            content = decoded(self.bag, message, ours.types)
+            if not sorter.add(ours, content, message.data if self.keep else None):
                 self.stray[message.topic] += 1
         yield from sorter.begin_until(2**64)
         yield from sorter.open
@@ -178,6 +182,7 @@ class _Sorter:
         self.open: list[Group] = []  # the present one last
         self.early = 0  # of the open ones, how many at the end are not announced yet
         self.now: int | None = None  # stamp of the latest state
+        self.again = False  # whether the present episode was announced once more
 
     def begin_until(self, log_ns: int) -> Iterator[Group]:
         """Begin the episodes announced until a log time; yield those that are over."""
@@ -186,16 +191,17 @@ class _Sorter:
             if self.early:
                 self.early -= 1
                 continue
-            if self.open and not self.open[-1].states and self.open[-1].info == info:
-                continue  # the same was said twice
+            if self.open and self.open[-1].info == info:
+                self.again = True  # said to those who were silent, or of a world started anew
+                continue
             self.open.append(Group(info))
         last = self.open[-1] if self.open else None
         keep = 1 if last is not None and last.last_step >= SETTLED else 2
         while len(self.open) > keep:
             yield self.open.pop(0)
 
-    def add(self, ours: Known, content: Poses | Vector | Any) -> bool:
-        """Take the content of a message; return whether it is of an episode."""
+    def add(self, ours: Known, content: Poses | Vector | Any, raw: bytes | None = None) -> bool:
+        """Take the content of a message, and its bytes to keep; return whether it is of one."""
         name = ours.topic.name
         stamp_ns = self.now if content.stamp_ns is None else content.stamp_ns
         if name in STATES:
@@ -204,6 +210,9 @@ class _Sorter:
         if group is None or stamp_ns is None:
             return False
         label = name.replace('{h}', str(ours.shepherd))
+        if self.again and name in STATES and stamp_ns < group.latest.get(label, 0):
+            self.open.append(Group(group.info))
+            group, self.again = self.open[-1], False
         if name == GOAL:
             group.goals.append((stamp_ns, content.xy))
             return True
@@ -216,7 +225,10 @@ class _Sorter:
             return True
         if name in STATES:
             group.last_step = max(group.last_step, step)
-        _put(group.states.setdefault(step, State()), name, ours.shepherd, content)
+        state = group.states.setdefault(step, State())
+        _put(state, name, ours.shepherd, content)
+        if raw is not None and name != COMMANDS:
+            state.raw.setdefault(label, raw)
         return True
 
     def _group(self, stamp_ns: int) -> Group | None:

@@ -19,12 +19,14 @@ def main(arguments: list[str] | None = None) -> int:
     from shepherd_ros.cli.demo import Demo
     from shepherd_ros.cli.evaluate import Evaluate
     from shepherd_ros.cli.record import Record
+    from shepherd_ros.cli.replay import Replay
     import tyro
 
     verbs: dict[str, Callable[..., Any]] = {
         'demo': Demo,
         'evaluate': Evaluate,
         'record': Record,
+        'replay': Replay,
         'bag': BagVerbs,
     }
     try:

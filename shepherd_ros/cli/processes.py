@@ -17,10 +17,19 @@ from shepherd_ros.share import share_file
 from shepherd_ros.stack import Process
 
 
+def _found(name: str) -> str | None:
+    beside = Path(sys.executable).parent / name
+    return str(beside) if beside.exists() else shutil.which(name)
+
+
+def is_executable(name: str) -> bool:
+    """Return whether an executable is beside this Python or on the PATH."""
+    return _found(name) is not None
+
+
 def executable(name: str) -> str:
     """Return the path of one of our executables: beside this Python, or on the PATH."""
-    beside = Path(sys.executable).parent / name
-    path = str(beside) if beside.exists() else shutil.which(name)
+    path = _found(name)
     if path is None:
         raise UserError(
             f'executable {name!r} is neither beside {sys.executable} nor on the PATH: '

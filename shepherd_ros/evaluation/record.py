@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 import shutil
 
@@ -18,12 +19,12 @@ from shepherd_ros.bags.encode import (
 )
 from shepherd_ros.bags.qos import Qos
 from shepherd_ros.bags.writer import BagWriter
-from shepherd_ros.controllers.base import Controller
+from shepherd_ros.controllers.base import Controller, Memory
 from shepherd_ros.episode import Episode
 from shepherd_ros.sim import transition
 from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.lidar import CHANNELS, scan
-from shepherd_ros.sim.metrics import count_step, METRICS, metrics, start_tally
+from shepherd_ros.sim.metrics import count_step, METRICS, metrics, MetricsTally, start_tally
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
@@ -44,6 +45,7 @@ class EpisodeBag:
         self.episode = episode
         self.writer = BagWriter(folder, compression=compression)
         self.now_ns = 0
+        self.goal: list[float] = []
 
     def put(self, topic: str, content: bytes, shepherd: int | None = None) -> None:
         """Write a message of a topic of the contract at the present time."""
@@ -55,31 +57,42 @@ class EpisodeBag:
 
     def step(
         self,
-        stamp_ns: int,
-        poses: dict[str, tuple[Tensor, Tensor]],
-        ranges: np.ndarray,
-        command: Tensor,
-        metrics: dict[str, float],
-        goal: Tensor,
+        state: WorldState,
+        before: WorldState,
+        ranges: Sequence[np.ndarray | None],
+        commands: Sequence[Sequence[float] | None],
+        metrics: Mapping[str, float],
         range_max: float,
     ) -> None:
-        """Write a state, what was seen of it, what was commanded and how it counts."""
-        first = self.now_ns == 0
-        self.now_ns = stamp_ns
+        """
+        Write a state, what was seen of it, what was commanded and how it counts.
+
+        The state before gives the shepherds' headings; ranges (3, R) m and commands (2,) m/s are
+        those of each shepherd.
+        """
+        episode = self.episode
+        frame, team = episode.frame_id, episode.n_shepherds
+        ns = episode.start_ns + int(state.step) * episode.dt_ns
+        first, self.now_ns = self.now_ns == 0, ns
         if first:
-            self.put('episode', encode_text(self.episode.to_json()))
-            self.put('goal', encode_goal(stamp_ns, FRAME, float(goal[0]), float(goal[1])))
-        self.put('/clock', encode_clock(stamp_ns))
-        for name, (position, heading) in poses.items():
-            self.put(name, encode_poses(stamp_ns, FRAME, position.numpy(), heading.numpy()))
-        for h, channels in enumerate(ranges):
-            for name, values in zip(CHANNELS, channels, strict=True):
-                content = encode_scan(
-                    stamp_ns, f'shepherd_{h}', values, range_max, self.episode.world.dt
-                )
+            self.put('episode', encode_text(episode.to_json()))
+        if self.goal != state.goal.tolist():
+            self.goal = state.goal.tolist()
+            self.put('goal', encode_goal(ns, frame, *self.goal))
+        self.put('/clock', encode_clock(ns))
+        moved = unit(state.shepherds - before.shepherds)
+        for name, position, heading in (
+            ('shepherds/poses', state.shepherds[:team], moved[:team]),
+            ('flock/poses', state.sheep, state.heading),
+        ):
+            self.put(name, encode_poses(ns, frame, position.numpy(), heading.numpy()))
+        for h, channels in enumerate(ranges[:team]):
+            for name, values in zip(CHANNELS, () if channels is None else channels, strict=False):
+                content = encode_scan(ns, f'shepherd_{h}', values, range_max, episode.world.dt)
                 self.put('shepherd_{h}/scan/' + name, content, h)
-        for h, (x, y) in enumerate(command.tolist()):
-            self.put('shepherd_{h}/cmd_vel', encode_command(stamp_ns, FRAME, x, y), h)
+        for h, command in enumerate(commands[:team]):
+            if command is not None:
+                self.put('shepherd_{h}/cmd_vel', encode_command(ns, frame, *command), h)
         for name, value in metrics.items():
             self.put(f'metrics/{name}', encode_number(value))
 
@@ -102,44 +115,65 @@ def record_episodes(
 
     A bag appears under its name when it is whole; on_step(worlds) is called after each step.
     """
-    world, dt_ns = config.world, round(config.world.dt * 1e9)
-    state = before = spawn(world, torch.arange(seeds.start, seeds.stop))
-    tally = start_tally(state)
+    world = config.world
+    start = spawn(world, torch.arange(seeds.start, seeds.stop))
     unfinished = [out / f'.{episode_folder(out, seed).name}' for seed in seeds]
     for folder in unfinished:  # left by a run that was killed
         shutil.rmtree(folder, ignore_errors=True)
     bags = [
-        EpisodeBag(folder, describe(world, state.world(k), seed), compression)
+        EpisodeBag(folder, describe(world, start.world(k), seed), compression)
         for k, (folder, seed) in enumerate(zip(unfinished, seeds, strict=True))
     ]
-    memory = controller.begin(perceive(state, config.noise_std))
-    for step in range(world.episode_steps + 1):
-        seen = perceive(state, config.noise_std)
-        ranges = scan(seen, config.lidar)
-        command, memory = controller.act(seen, memory)
-        values = metrics(tally, state, world.episode_steps)
-        moved = unit(state.shepherds - before.shepherds)
-        for k, bag in enumerate(bags):
-            team = bag.episode.n_shepherds
-            bag.step(
-                (step + 1) * dt_ns,
-                {
-                    'shepherds/poses': (state.shepherds[k, :team], moved[k, :team]),
-                    'flock/poses': (state.sheep[k], state.heading[k]),
-                },
-                ranges[k, :team].numpy(),
-                command[k, :team],
-                {name: float(values[name][k]) for name in METRICS},
-                state.goal[k],
-                config.lidar.range_max,
-            )
-        if step < world.episode_steps:
-            before, state = state, transition.step(state, command, world)
-            tally = count_step(tally, before, state)
-        on_step(len(bags))
+    memory = controller.begin(perceive(start, config.noise_std))
+    drive(bags, config, controller, Moment(start, start, start_tally(start), memory), {}, on_step)
     for bag, folder, seed in zip(bags, unfinished, seeds, strict=True):
         bag.writer.close()
         folder.rename(episode_folder(out, seed))
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Everything from which worlds (B) go on in one way only."""
+
+    state: WorldState
+    before: WorldState  # one step earlier; the first one is its own
+    tally: MetricsTally
+    memory: Memory
+
+
+def drive(
+    bags: Sequence[EpisodeBag],
+    config: EnvConfig,
+    controller: Controller,
+    moment: Moment,
+    goals: Mapping[int, Tensor],
+    on_step: Callable[[int], None] = lambda worlds: None,
+) -> None:
+    """
+    Let a controller drive on to the end of the episode, and write each world (B) into its bag.
+
+    goals (2,) m are where the goal has been moved at some steps; on_step(worlds) is called after
+    each step.
+    """
+    state, before, tally, memory = moment.state, moment.before, moment.tally, moment.memory
+    last = config.world.episode_steps
+    for step in range(int(state.step[0]), last + 1):
+        seen = perceive(state, config.noise_std)
+        ranges = scan(seen, config.lidar).numpy()
+        command, memory = controller.act(seen, memory)
+        values = metrics(tally, state, last)
+        for k, bag in enumerate(bags):
+            row = {name: float(values[name][k]) for name in METRICS}
+            bag.step(
+                state.world(k), before.world(k), ranges[k], command[k].tolist(), row,
+                config.lidar.range_max,
+            )  # fmt: skip
+        if step < last:
+            before, state = state, transition.step(state, command, config.world)
+            if step + 1 in goals:
+                state = replace(state, goal=goals[step + 1].expand_as(state.goal))
+            tally = count_step(tally, before, state)
+        on_step(len(bags))
 
 
 def describe(world: WorldConfig, start: WorldState, seed: int) -> Episode:

@@ -2,26 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+import json
+
 import numpy as np
-from shepherd_ros.bags.episodes import Episode
+from shepherd_ros.bags.episodes import Episode, Frame
+from shepherd_ros.episode import Episode as Description
 from shepherd_ros.sim.metrics import count_step, METRICS, metrics, start_tally
 from shepherd_ros.sim.state import stack, WorldState
 from shepherd_ros.view.track import EpisodeTrack
 import torch
 
 
-def states_of(episode: Episode) -> WorldState:
-    """Return the recorded states as a batch (T); a goal that was not recorded is at 0, 0."""
+def description_of(episode: Episode) -> Description:
+    """Return what flock_sim said of the episode, or raise ConfigError."""
+    return Description.from_json(json.dumps(episode.config))
+
+
+def states_of(episode: Episode, frames: Sequence[Frame] | None = None) -> WorldState:
+    """
+    Return the recorded states, or some of them, as a batch (T), bit by bit as they were.
+
+    A goal that was not recorded is at 0, 0.
+    """
     states = []
     radius = float(episode.config['goal_radius'])
-    for frame in episode.frames:
+    for frame in episode.frames if frames is None else frames:
         goal = np.zeros(2) if frame.goal is None else frame.goal
         states.append(
             WorldState(
                 seed=torch.tensor(episode.seed),
                 step=torch.tensor(frame.step),
                 sheep=_tensor(frame.sheep),
-                heading=_tensor(frame.sheep_heading),
+                heading=torch.from_numpy(exact_heading(frame.sheep_heading)),
                 sheep_mask=torch.ones(episode.n_sheep, dtype=torch.bool),
                 shepherds=_tensor(frame.shepherds),
                 shepherd_mask=torch.ones(episode.n_shepherds, dtype=torch.bool),
@@ -34,6 +47,34 @@ def states_of(episode: Episode) -> WorldState:
 
 def _tensor(values: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(np.asarray(values, np.float32))
+
+
+NEIGHBORS = np.arange(
+    -4, 5, dtype=np.int32
+)  # units in the last place that a unit vector may be too long
+ROUNDING = 1e-15  # of a direction on its way through a quaternion
+
+
+def exact_heading(direction: np.ndarray) -> np.ndarray:
+    """
+    Return the headings in float32 that have these directions (K, 2) in float64; (K, 2).
+
+    A pose keeps the direction of a heading and not its length, which float32 rounds to nearly 1.
+    Of the float32 vectors about as long hardly two have the same direction (one heading in three
+    million is not told from its neighbor), so it says which one it was.
+    """
+    swap = np.abs(direction[:, 1]) > np.abs(direction[:, 0])
+    long, short = np.where(swap[:, None], direction[:, ::-1], direction).T
+    short = np.where(np.abs(short) < ROUNDING, 0.0, short)
+    bits = long.astype(np.float32).view(np.int32)[:, None] + NEIGHBORS
+    candidates = bits.view(np.float32).astype(np.float64)
+    exact = candidates * (short / long)[:, None]
+    others = exact.astype(np.float32).astype(np.float64)
+    off = np.maximum(np.abs(others - exact), ROUNDING) / ROUNDING
+    best = (off + np.abs(np.hypot(candidates, others) - 1)).argmin(axis=1)
+    row = np.arange(len(direction))
+    found = np.stack([candidates[row, best], others[row, best]], axis=-1)
+    return np.where(swap[:, None], found[:, ::-1], found).astype(np.float32)
 
 
 def metrics_over_time(states: WorldState, episode_steps: int) -> dict[str, np.ndarray]:

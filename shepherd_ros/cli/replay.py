@@ -1,0 +1,140 @@
+"""Verb replay: recorded states to a controller, and its commands beside the recorded ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+import os
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, TYPE_CHECKING
+
+from shepherd_ros.cli import UserError
+from shepherd_ros.cli.controllers import Chosen, chosen
+from shepherd_ros.cli.processes import is_executable, isolate, running
+from shepherd_ros.stack import Process
+import tyro
+
+if TYPE_CHECKING:
+    from shepherd_ros.bags.episodes import Episode, Frame
+    from shepherd_ros.bags.grouping import Group
+    from shepherd_ros.evaluation.answers import Comparison
+
+DIFFERENT = 1  # exit code if a command differs or is missing
+
+
+@dataclass
+class Replay:
+    """
+    Show a controller the recorded states and compare what it commands; exit code 1 if it differs.
+
+    The controller runs as a node of its own, and gets every state with the bytes and the stamp of
+    the recording. It begins with the first state of each episode, as it did then.
+    """
+
+    bag: tyro.conf.Positional[Path]
+    """Folder of a bag, or one .mcap file."""
+    controller: str = 'strombom'
+    """Controller to ask: strombom, pierson, idle, random, or an executable of your own."""
+    params: Annotated[tuple[str, ...], tyro.conf.arg(aliases=['-p'])] = ()
+    """Parameters of the controller with which it was recorded, such as noise_std:=0.5."""
+    params_file: Path | None = None
+    """File with parameters of the controller."""
+    tolerance: float = 0.0
+    """Greatest difference of two velocities that counts as none [m/s]."""
+    shepherds: tuple[int, ...] = ()
+    """Shepherds to compare, all by default."""
+    episode: int | None = None
+    """Which episode of the bag, counted from 0; all by default."""
+    namespace: str | None = None
+    """Namespace of the stack, if the bag has several."""
+    without_ros: bool = False
+    """Ask the law itself, without ROS."""
+
+    def run(self) -> int:
+        """Compare all and print the result; return the exit code."""
+        from shepherd_ros.evaluation.answers import Comparison
+
+        if not 0 <= self.tolerance < float('inf'):
+            raise UserError(f'--tolerance is {self.tolerance}: expected 0 or more [m/s]')
+        asked = chosen(self.controller, self.params, self.params_file)
+        if asked.parameters.get('stamped') is False:
+            raise UserError('stamped is False: expected commands with the stamp of their state')
+        if self.without_ros or asked.of_core or not is_executable(self.controller):
+            asked.config()  # refuses what cannot be
+        result = Comparison(self.tolerance, self.shepherds)
+        if self.without_ros:
+            self._ask_law(asked, result)
+        else:
+            self._ask_node(asked, result)
+        print(f'{self.controller} on {self.bag}')
+        print(result.text())
+        return 0 if result.ok else DIFFERENT
+
+    def _episodes(self, result: Comparison) -> Iterator[tuple[Episode, list[Frame], Group]]:
+        """Yield the episodes to compare with the states to ask about."""
+        from shepherd_ros.bags.episodes import episode_of, one_namespace
+        from shepherd_ros.bags.grouping import Groups
+        from shepherd_ros.bags.reader import open_bag
+        from shepherd_ros.evaluation.answers import asked_frames
+
+        bag = open_bag(self.bag)
+        space = one_namespace(bag, self.namespace)
+        number = -1
+        for number, group in enumerate(Groups(bag, space, keep=not self.without_ros)):
+            if self.episode not in (None, number):
+                continue
+            episode = episode_of(bag, group)
+            strangers = [h for h in self.shepherds if not 0 <= h < episode.n_shepherds]
+            if strangers:
+                raise UserError(
+                    f'--shepherds has {strangers}: expected 0 to {episode.n_shepherds - 1}'
+                )
+            frames = asked_frames(episode)
+            result.add_episode(episode, frames)
+            if frames:
+                yield episode, frames, group
+        if self.episode is not None and not 0 <= self.episode <= number:
+            raise UserError(
+                f'--episode is {self.episode}: expected 0 to {number}, as '
+                f'`shepherd bag info {self.bag}` lists them'
+            )
+
+    def _ask_law(self, asked: Chosen, result: Comparison) -> None:
+        """Compare what the law says."""
+        from shepherd_ros.evaluation.answers import core_answers
+        from shepherd_ros.evaluation.replay import description_of, states_of
+
+        for episode, frames, _ in self._episodes(result):
+            controller = asked.make(description_of(episode).world)
+            answers = core_answers(states_of(episode, frames), controller, asked.noise_std)
+            for frame, (_, command) in zip(frames, answers, strict=True):
+                result.add(episode, frame, dict(enumerate(command.double().numpy())))
+
+    def _ask_node(self, asked: Chosen, result: Comparison) -> None:
+        """Compare what the node says."""
+        isolate(os.environ)
+        # rclpy reads the environment when it is imported
+        from shepherd_ros.nodes.questioner import questioning
+
+        with (
+            TemporaryDirectory() as logs,
+            running(Path(logs)) as processes,
+            questioning() as questioner,
+        ):
+            silent = False
+            for episode, frames, group in self._episodes(result):
+                if not processes.started:
+                    frame_id = {'frame_id': episode.config['frame_id']}
+                    processes.start([Process(asked.name, asked.name, frame_id | asked.parameters)])
+                questioner.begin(episode)
+                for frame in frames:
+                    wanted = self.shepherds or range(episode.n_shepherds)
+                    over = all(command is None for command in frame.commands)
+                    answers = {}
+                    if not (silent or (over and frame is frames[-1])):
+                        answers = questioner.ask(
+                            frame, group.states[frame.step].raw, wanted, processes.check
+                        )
+                        silent = not answers
+                    result.add(episode, frame, answers)
