@@ -86,6 +86,16 @@ def test_the_last_episode_may_end_early(tmp_path: Path, cut: int) -> None:
     assert result.unfinished == ([1] if cut < len(MESSAGES) - 3 else [])
 
 
+def test_an_episode_that_is_told_again_is_the_same(tmp_path: Path) -> None:
+    """flock_sim tells it again to those who are silent; then it goes on."""
+    for place in (5, 2 + 12, 2 + 12 * 3):  # within the first state, after it, later
+        first = [message for message in MESSAGES[:3] if message.topic in ('/episode', '/goal')]
+        told = [*MESSAGES[:place], *first, *MESSAGES[place:]]
+        result = check(tmp_path / f'bag_{place}', told)
+        assert result.ok, result.text()
+        assert (result.episodes, result.unfinished) == (2, [])
+
+
 def test_an_episode_that_was_begun_anew_is_unfinished(tmp_path: Path) -> None:
     """After two steps the world is told to begin again, and its stamps go on."""
     half = [i for i, m in enumerate(MESSAGES) if m.topic == '/episode'][1]
