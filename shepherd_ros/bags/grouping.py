@@ -182,7 +182,7 @@ class _Sorter:
         self.open: list[Group] = []  # the present one last
         self.early = 0  # of the open ones, how many at the end are not announced yet
         self.now: int | None = None  # stamp of the latest state
-        self.again = False  # whether the present episode was announced once more
+        self.again: int | None = None  # goals when the present episode was announced once more
 
     def begin_until(self, log_ns: int) -> Iterator[Group]:
         """Begin the episodes announced until a log time; yield those that are over."""
@@ -192,9 +192,11 @@ class _Sorter:
                 self.early -= 1
                 continue
             if self.open and self.open[-1].info == info:
-                self.again = True  # said to those who were silent, or of a world started anew
+                # said to those who were silent, or of a world started anew
+                self.again = len(self.open[-1].goals)
                 continue
             self.open.append(Group(info))
+            self.again = None
         last = self.open[-1] if self.open else None
         keep = 1 if last is not None and last.last_step >= SETTLED else 2
         while len(self.open) > keep:
@@ -210,9 +212,11 @@ class _Sorter:
         if group is None or stamp_ns is None:
             return False
         label = name.replace('{h}', str(ours.shepherd))
-        if self.again and name in STATES and stamp_ns < group.latest.get(label, 0):
-            self.open.append(Group(group.info))
-            group, self.again = self.open[-1], False
+        back = name in STATES and stamp_ns < group.latest.get(label, 0)
+        if back and self.again is not None and group is self.open[-1]:
+            self.open.append(Group(group.info, goals=group.goals[self.again :]))
+            del group.goals[self.again :]
+            group, self.again = self.open[-1], None
         if name == GOAL:
             group.goals.append((stamp_ns, content.xy))
             return True
