@@ -2,42 +2,75 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping
+from collections import Counter, defaultdict
+from collections.abc import Callable
 from typing import Any
 
-from rclpy.subscription import Subscription
 
-Waiting = tuple[str, bytes, Any]  # topic, message, times
+class Numbering:
+    """
+    The numbers that messages of one topic have at their publishers.
+
+    rclpy tells the number of a message but not who sent it. So the numbers are sorted into runs,
+    at most one for each publisher that was ever there, and what is missing is the least that
+    explains them. With one publisher that is exact. With several, a gap is noticed too, unless one
+    of them was silent so far: then the numbers after the gap may as well be its first.
+    """
+
+    def __init__(self) -> None:
+        """Start with nothing heard."""
+        self.publishers: set[bytes] = set()  # that were ever there
+        self.runs: list[list[int]] = []  # first and last number of each
+        self.missing = 0
+
+    def take(self, number: int, look: Callable[[], set[bytes]]) -> None:
+        """Take the number of a message; look() returns the publishers that are there now."""
+        for run in self.runs:
+            if run[1] == number - 1:
+                run[1] = number
+                return
+        if self.runs:  # what came before the first one is not lost
+            self.publishers |= look()
+            if len(self.runs) >= len(self.publishers) and self._explain(number):
+                return
+        self.runs.append([number, number])
+
+    def _explain(self, number: int) -> bool:
+        """
+        Count as lost what lies in the smallest gap; return whether the number lies behind it.
+
+        If the gap is between two runs, they become one, and the number begins another.
+        """
+        gaps = [(number - 1 - run[1], run, None) for run in self.runs if run[1] < number]
+        gaps += [
+            (late[0] - 1 - early[1], early, late)  # type: ignore[misc]
+            for early in self.runs
+            for late in self.runs
+            if early[1] < late[0]
+        ]
+        if not gaps:  # numbers that go back: a publisher that is gone again
+            return False
+        missing, run, late = min(gaps, key=lambda gap: gap[0])
+        self.missing += missing
+        run[1] = number if late is None else late[1]
+        if late is not None:
+            self.runs.remove(late)
+        return late is None
 
 
 class Losses:
     """Counts lost messages per topic."""
 
-    def __init__(self) -> None:
-        """Start with none."""
-        self.gaps: Counter[str] = Counter()
+    def __init__(self, publishers: Callable[[str], set[bytes]]) -> None:
+        """Start with none; publishers(topic) returns the identities of those there now."""
+        self.publishers = publishers
+        self.topics: defaultdict[str, Numbering] = defaultdict(Numbering)
         self.drops: Counter[str] = Counter()
-        self.last: dict[str, int] = {}
 
-    def follows(self, topic: str, sequence: int | None) -> bool:
-        """Return whether a number is the next one of a topic, or its first."""
-        before = self.last.get(topic)
-        return before is None or sequence is None or sequence == before + 1
-
-    def heard(self, topic: str, sequence: int | None, single: bool) -> None:
-        """
-        Take the number that a message has at its publisher; None if the middleware has none.
-
-        Only with a single publisher do the numbers follow each other. One that starts anew is
-        a publisher that was restarted.
-        """
-        before = self.last.pop(topic, None)
-        if sequence is None or not single:
-            return
-        self.last[topic] = sequence
-        if before is not None and sequence > before + 1:
-            self.gaps[topic] += sequence - before - 1
+    def heard(self, topic: str, number: int | None) -> None:
+        """Take the number of a message at its publisher; None if the middleware has none."""
+        if number is not None:
+            self.topics[topic].take(number, lambda: self.publishers(topic))
 
     def dropped(self, topic: str, count: int) -> None:
         """Take what DDS reports lost."""
@@ -47,31 +80,15 @@ class Losses:
         """Take the event by which DDS reports losses."""
         self.dropped(topic, event.total_count_change)
 
-    @property
-    def total(self) -> int:
-        """Return how many messages are known to be lost; both counts may mean the same ones."""
-        return sum(max(self.gaps[t], self.drops[t]) for t in {*self.gaps, *self.drops})
+    def by_topic(self) -> Counter[str]:
+        """Return how many are known to be lost; both ways to count may mean the same ones."""
+        names = {*self.topics, *self.drops}
+        return +Counter({n: max(self.topics[n].missing, self.drops[n]) for n in sorted(names)})
 
     def report(self) -> list[str]:
         """Return a line for each topic with losses."""
         return [
-            f'{topic}: {self.gaps[topic]} missing in the numbering, {self.drops[topic]} reported '
-            'by DDS'
-            for topic in sorted({*self.gaps, *self.drops})
-            if self.gaps[topic] or self.drops[topic]
+            f'{name}: {self.topics[name].missing} missing in the numbering, {self.drops[name]} '
+            'reported by DDS'
+            for name in self.by_topic()
         ]
-
-
-def waiting(inputs: Mapping[str, Subscription | None], depth: int) -> list[Waiting]:
-    """Return what has come and was not taken yet, in the order in which it came."""
-    rows: list[Waiting] = []
-    for name, subscription in inputs.items():
-        if subscription is None:
-            continue
-        with subscription.handle:
-            for _ in range(depth):
-                taken = subscription.handle.take_message(subscription.msg_type, True)
-                if taken is None:
-                    break
-                rows.append((name, *taken))
-    return sorted(rows, key=lambda row: int(row[2]['received_timestamp']))

@@ -2,84 +2,43 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import suppress
 from datetime import datetime
-from functools import partial
+import json
 from pathlib import Path
-import re
-from typing import Annotated, Any, Literal
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
 from shepherd_ros.bags.contract import known
+from shepherd_ros.bags.decode import decode_clock, decode_string
 from shepherd_ros.bags.errors import BagError
-from shepherd_ros.bags.qos import Qos
-from shepherd_ros.bags.schemas import installed_text, nested_text, wire_types
-from shepherd_ros.bags.writer import BagWriter
-from shepherd_ros.config import ConfigError
-from shepherd_ros.nodes.base import ERROR, message_type, OK, ShepherdNode, WARN
-from shepherd_ros.nodes.losses import Losses, Waiting, waiting
+from shepherd_ros.bags.grouping import EpisodeInfo
+from shepherd_ros.bags.writer import BagWriter, LOST_KEY
+from shepherd_ros.nodes.base import ERROR, OK, ShepherdNode, WARN
+from shepherd_ros.nodes.intake import Intake
+from shepherd_ros.nodes.recorder_options import RecorderOptions
 from shepherd_ros.nodes.runtime import run
 from std_srvs.srv import Trigger
-import tyro
 
-DEPTH = 10_000  # messages that may wait for the recorder, per topic
+TAKE_PERIOD = 0.02  # [s] between two looks for messages
 GRAPH_PERIOD = 0.1  # [s] between two looks for new topics
+FLUSH_PERIOD = 1.0  # [s] of messages that a crash may cost at most
+CLOCK = '/clock'
 LOSSY = 1  # exit code of a bag that is not whole
 
 
-@dataclass(frozen=True)
-class RecorderOptions:
-    """Record topics into a rosbag2 directory; by default those of the contract."""
-
-    output: Annotated[str, tyro.conf.arg(aliases=['-o'])] = ''
-    """Folder to write; by default rosbag2_ and the time."""
-    topics: tuple[str, ...] = ()
-    """Names of topics to record, instead of those of the contract."""
-    regex: Annotated[str, tyro.conf.arg(aliases=['-e'])] = ''
-    """Record topics whose name matches this regular expression, too."""
-    exclude: Annotated[str, tyro.conf.arg(aliases=['-x'])] = ''
-    """Leave out topics whose name matches this regular expression."""
-    all: Annotated[bool, tyro.conf.arg(aliases=['-a'])] = False
-    """Record every topic."""
-    compression: Literal['none', 'zstd', 'lz4'] = 'none'
-    """Compression of chunks."""
-    max_bag_size: Annotated[int, tyro.conf.arg(aliases=['-b'])] = 0
-    """Go on in a new file after so many bytes; 0: never."""
-    max_bag_duration: Annotated[float, tyro.conf.arg(aliases=['-d'])] = 0.0
-    """Go on in a new file after so many seconds; 0: never."""
-    per_episode: bool = False
-    """One bag per episode: output/episode_0000 and so on."""
-    start_paused: bool = False
-    """Record nothing before ~/start is called."""
-    use_sim_time: bool = False
-    """Log times are those of /clock."""
-
-    def check(self) -> None:
-        """Raise ConfigError for numbers that make no sense."""
-        if not (self.max_bag_size >= 0 and self.max_bag_duration >= 0):
-            values = f'--max-bag-size is {self.max_bag_size}, -duration {self.max_bag_duration}'
-            raise ConfigError(f'{values}: expected 0 (never) or more')
-        _ = self.pattern('regex'), self.pattern('exclude')
-
-    def pattern(self, name: str) -> re.Pattern[str] | None:
-        """Return a compiled expression, None if there is none; ConfigError for a bad one."""
-        text = getattr(self, name)
-        try:
-            return re.compile(text) if text else None
-        except re.error as error:
-            what = f'--{name} is {text!r}: expected a regular expression'
-            raise ConfigError(f'{what} ({error})') from None
-
-
 class Recorder(ShepherdNode):
-    """Subscribes to what is there as soon as it is there, and writes every message it gets."""
+    """
+    Writes every message it gets.
+
+    Messages are taken in batches, many times a second: that costs a tenth of a callback for each,
+    and they go into the bag in the order in which they came, whatever their topics.
+    """
 
     def __init__(self, options: RecorderOptions, **kwargs: Any) -> None:
-        """Create the node; the bag is opened with the first topic."""
+        """Create the node; the bag is opened with the first message."""
         options.check()
         self.folder = Path(options.output or f'rosbag2_{datetime.now():%Y_%m_%d-%H_%M_%S}')
         try:
@@ -90,121 +49,66 @@ class Recorder(ShepherdNode):
             what = 'it exists already' if there else f'it cannot be created ({error.strerror})'
             raise BagError(self.folder, what, 'choose another folder with --output') from error
         super().__init__('recorder', **kwargs)
+        self.executor_kind = 'single'  # it only sees timers and services
         self.options = options
-        self.wanted = self._wish(options)
+        self.wanted = options.wish(self.resolve_topic_name)
         self.writer: BagWriter | None = None
+        self.announced: set[str] = set()  # topics in the bag that is open
+        self.lost_before: Counter[str] = Counter()  # when it was opened
         self.recording = not options.start_paused
-        self.inputs: dict[str, Subscription | None] = {}
-        self.single: dict[str, bool] = {}  # whether a topic has one publisher
-        self.topics: dict[str, dict[str, Any]] = {}  # as they are announced to a bag
-        self.latched: dict[str, bytes | None] = {}  # the last message of each such topic
+        self.latched: dict[str, bytes] = {}  # the last message of each such topic
         self.begun = False  # whether the bag that is open tells of an episode
-        self.losses = Losses()
         self.failure = ''
-        self.parts = self.written = 0
+        self.parts = self.written = self.safe = 0
+        self.clock_ns = 0
+        self.rate_of = (self.wall(), 0)  # when and how many messages at the last report
+        self.intake = Intake(self, self._heard, self._refuse)
+        self.losses = self.intake.losses
         self.create_service(Trigger, '~/start', self._server(True))
         self.create_service(Trigger, '~/stop', self._server(False))
-        self.look()
-        self.timer(GRAPH_PERIOD, self.look)
+        self.timer(TAKE_PERIOD, self.take)
+        self.timer(GRAPH_PERIOD, self.intake.look)
+        self.timer(FLUSH_PERIOD, self.flush)
 
-    def _wish(self, options: RecorderOptions) -> Callable[[str], bool]:
-        """Return which names to record."""
-        regex, exclude = options.pattern('regex'), options.pattern('exclude')
-        names = {self.resolve_topic_name(name) for name in options.topics}
-        contract_too = not (names or regex or options.all)
+    def _heard(self, name: str) -> bool:
+        """Return whether to listen to a topic."""
+        return self.wanted(name) or (self.options.use_sim_time and name == CLOCK)
 
-        def wanted(name: str) -> bool:
-            if exclude is not None and exclude.search(name):
-                return False
-            by_name = name in names or (regex is not None and regex.search(name) is not None)
-            return options.all or by_name or (contract_too and known(name) is not None)
+    def _refuse(self, why: str) -> None:
+        self.failure = self.failure or why
+        self.get_logger().error(why)
 
-        return wanted
+    # ---- messages ----
 
-    # ---- topics ----
+    def take(self, everything: bool = False) -> None:
+        """Take what has come."""
+        for name, raw, info in self.intake.take(everything):
+            self.receive(name, raw, info)
 
-    def look(self) -> None:
-        """Subscribe to new topics that are wanted."""
-        self.single = {name: self.count_publishers(name) == 1 for name in self.topics}
-        for name, types in self.get_topic_names_and_types():
-            if name in self.inputs or not self.wanted(name):
-                continue
-            if len(types) > 1:
-                self._refuse(name, f'it has the types {", ".join(types)}, expected one')
-                continue
-            offers = self.get_publishers_info_by_topic(name)
-            if offers:
-                try:
-                    self._subscribe(name, types[0], offers)
-                except (AttributeError, ImportError, FileNotFoundError, ValueError) as error:
-                    self._refuse(name, f'{types[0]} is missing ({error}): install it or --exclude')
-
-    def _refuse(self, name: str, why: str) -> None:
-        """Go on without a topic; the bag is not whole then."""
-        text = f'{name} is not recorded: {why}'
-        self.failure = self.failure or text
-        self.get_logger().error(text)
-        self.inputs[name] = None
-
-    def _subscribe(self, name: str, kind: str, offers: list[Any]) -> None:
-        """Subscribe with a quality of service that all publishers offer."""
-        profiles = [offer.qos_profile for offer in offers]
-        reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
-        latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
-        profile = QoSProfile(
-            depth=DEPTH,
-            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-        )
-        qos = tuple(Qos(p.reliability.name.lower(), p.durability.name.lower()) for p in profiles)
-        message = message_type(kind)
-        if latched:
-            self.latched[name] = None
-        self.topics[name] = {'type_name': kind, 'qos': qos}
-        if kind not in wire_types():
-            schema = 'ros2msg', nested_text(kind, installed_text).encode()
-            hash_text = str(offers[0].topic_type_hash)
-            self.topics[name] |= {'schema': schema, 'hash_text': hash_text}
-        self.single[name] = len(offers) == 1
-        taker: Any = partial(self.receive, name)
-        self.inputs[name] = self.create_subscription(
-            message,
-            name,
-            taker,
-            profile,
-            raw=True,
-            event_callbacks=SubscriptionEventCallbacks(
-                message_lost=partial(self.losses.lost, name)
-            ),
-        )
-        self.get_logger().info(f'recording {name} ({kind})')
-
-    def receive(self, name: str, raw: bytes, info: Any) -> None:
-        """Take a message of a topic with its times."""
-        sequence = info.get('publication_sequence_number')
-        if self.single[name] and not self.losses.follows(name, sequence):
-            self.single[name] = self.count_publishers(name) == 1  # there may be a new one
-        self.losses.heard(name, sequence, self.single[name])
-        later: list[Waiting] = []
-        ours = known(name) if self.recording and self.options.per_episode else None
+    def receive(self, name: str, raw: bytes, info: dict[str, int]) -> None:
+        """Take a message of a topic with its times and its number."""
+        self.losses.heard(name, info.get('publication_sequence_number'))
+        ours = known(name)
         if ours is not None and ours.topic.name == 'episode':
-            for row in waiting(self.inputs, DEPTH):
-                if row[2]['received_timestamp'] < info['received_timestamp']:
-                    self.receive(*row)
-                else:
-                    later.append(row)
+            self._next_episode(ours.namespace, raw)
+        if name == CLOCK:
+            self.clock_ns = decode_clock(raw)
+        if self.intake.inputs[name].latched:
+            self.latched[name] = raw
+        if self.recording and self.wanted(name):
+            sim = self.options.use_sim_time
+            received = self.clock_ns if sim else info['received_timestamp']
+            self._write(name, raw, received, info['source_timestamp'] or received)
+
+    def _next_episode(self, namespace: str, raw: bytes) -> None:
+        """Expect the topics of an episode; begin its bag if each has its own."""
+        with suppress(ValueError):
+            self.intake.expect(namespace, EpisodeInfo.from_json(decode_string(raw)).n_shepherds)
+        if self.recording and self.options.per_episode:
             if self.begun:
                 self._close()
-                self.latched[f'{ours.namespace}/goal'] = None  # another one follows
+                self.latched.pop(f'{namespace}/goal', None)  # another one follows
             self.begun = True
-        if name in self.latched:
-            self.latched[name] = raw
-        if self.recording:
-            now = self.get_clock().now().nanoseconds
-            received = now if self.options.use_sim_time else info['received_timestamp']
-            self._write(name, raw, received, info['source_timestamp'] or received)
-        for row in later:
-            self.receive(*row)
 
     # ---- the bag ----
 
@@ -214,16 +118,16 @@ class Recorder(ShepherdNode):
             if self.writer is None:
                 self.writer = self._open()
                 for topic, content in self.latched.items():
-                    if content is not None and topic != name:
+                    if topic != name and self.wanted(topic):
                         self._put(self.writer, topic, content, log_ns, publish_ns)
             self._put(self.writer, name, raw, log_ns, publish_ns)
         except (BagError, OSError) as error:
-            self.failure = str(error)
-            self.get_logger().error(self.failure)
-            self.recording, self.finished = False, True
+            self._fail(error)
 
     def _put(self, writer: BagWriter, name: str, raw: bytes, log_ns: int, publish_ns: int) -> None:
-        writer.add_topic(name, **self.topics[name])
+        if name not in self.announced:
+            writer.add_topic(name, **self.intake.described(name))
+            self.announced.add(name)
         writer.write(name, raw, log_ns, publish_ns)
         self.written += 1
 
@@ -234,6 +138,8 @@ class Recorder(ShepherdNode):
             self.folder.mkdir(parents=True, exist_ok=True)
             folder = self.folder / f'episode_{self.parts:04d}'
         self.parts += 1
+        self.lost_before = self.losses.by_topic()
+        self.announced.clear()
         return BagWriter(
             folder,
             compression=self.options.compression,
@@ -241,15 +147,41 @@ class Recorder(ShepherdNode):
             split_seconds=self.options.max_bag_duration,
         )
 
+    def flush(self) -> None:
+        """Put what was taken so far on the disk, with what was lost."""
+        self.take()
+        self.intake.group.open = True  # until the next take()
+        if self.writer is not None and not self.failure:
+            try:
+                self._note_losses(self.writer)
+                self.writer.flush()
+                self.safe = self.written
+            except BagError as error:
+                self._fail(error)
+
+    def _note_losses(self, writer: BagWriter) -> None:
+        lost = self.losses.by_topic() - self.lost_before
+        writer.custom_data[LOST_KEY] = json.dumps(lost, sort_keys=True)
+
     def _close(self) -> None:
         if self.writer is not None:
+            self._note_losses(self.writer)
             self.writer.close()
+            self.safe = self.written
             self.writer = None
+
+    def _fail(self, error: BagError | OSError) -> None:
+        """End with an error, which everybody is told of."""
+        self.failure = str(error)
+        self.get_logger().error(self.failure)
+        self.recording, self.finished = False, True
+        self.publish_diagnostics()
 
     def _server(self, start: bool) -> Callable[[Any, Any], Any]:
         """Return the callback of ~/start or ~/stop."""
 
         def serve(request: Any, response: Any) -> Any:
+            self.take(everything=True)  # that came before
             response.success = self.recording != start and not self.failure
             state = 'recording' if start else 'stopped'
             response.message = state if response.success else self.failure or f'already {state}'
@@ -264,13 +196,12 @@ class Recorder(ShepherdNode):
     def end(self) -> int:
         """Close the bag, say what is in it and what is not, and return the exit code."""
         try:
-            for row in waiting(self.inputs, DEPTH):  # it came before the end, too
-                self.receive(*row)
+            self.take(everything=True)  # it came before the end, too
             self._close()
         except BagError as error:
             self.failure = str(error)
         lost = self.losses.report()
-        print(f'{self.written} messages of {len(self.topics)} topics in {self.folder}')
+        print(f'{self.written} messages of {len(self.announced)} topics in {self.folder}')
         for line in lost:
             print(f'lost: {line}')
         if self.failure:
@@ -280,17 +211,22 @@ class Recorder(ShepherdNode):
         return 0 if whole else LOSSY
 
     def diagnose(self) -> list[DiagnosticStatus]:
-        """Return whether everything heard is in the bag."""
-        lost = self.losses.total
+        """Return whether everything heard is in the bag, and how fast it comes."""
+        by_topic = self.losses.by_topic()
+        now, (then, before) = self.wall(), self.rate_of
+        rate = (self.written - before) / max(now - then, 1e-3)
+        self.rate_of = now, self.written
         level, message = OK, 'recording' if self.recording else 'stopped'
         if self.failure:
             level, message = ERROR, self.failure
-        elif lost:
-            level, message = WARN, f'{lost} messages were lost'
+        elif by_topic:
+            level, message = WARN, f'{by_topic.total()} messages were lost'
         return [
             self.status(
                 'recorder', level, message,
-                bag=self.folder, messages=self.written, topics=len(self.topics), lost=lost,
+                bag=self.folder, messages=self.written, on_disk=self.safe, rate=round(rate, 1),
+                topics=len(self.announced), lost=by_topic.total(),
+                **{f'lost {name}': count for name, count in by_topic.items()},
             )
         ]  # fmt: skip
 

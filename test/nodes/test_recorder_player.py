@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -13,6 +14,8 @@ from typing import Any
 
 from bags.tiny import cdr, LOG_START_NS, make, recording, scan_of, Sent, tiny_bag, write
 from geometry_msgs.msg import PoseArray
+from hypothesis import given
+from hypothesis import strategies as st
 from nodes.process import BEST_EFFORT, Graph, LATCHED, Process, RELIABLE, rollout
 import numpy as np
 import pytest
@@ -332,38 +335,67 @@ def test_a_killed_recorder_leaves_a_prefix(
 # ---- losses ----
 
 
+def heard(numbers: list[int], publishers: int = 1) -> tuple[int, list[list[int]]]:
+    """Return how many of the numbers of one topic are missing, and the runs they make."""
+    there = {bytes([k]) for k in range(publishers)}
+    losses = Losses(lambda topic: there)
+    for number in numbers:
+        losses.heard('/a', number)
+    return losses.by_topic().total(), losses.topics['/a'].runs
+
+
 def test_gaps_in_the_numbering_are_losses() -> None:
-    losses = Losses()
-    for number in (5, 6, 9, 10):  # what came before the first one is not lost
-        losses.heard('/a', number, True)
-    assert losses.total == 2
-    for number in (1, 2, 4):  # the publisher was restarted
-        losses.heard('/a', number, True)
-    assert losses.total == 3
-    losses.heard('/b', 1, True)
-    assert losses.report() == ['/a: 3 missing in the numbering, 0 reported by DDS']
+    assert heard([5, 6, 9, 10]) == (2, [[5, 10]])  # what came before the first one is not lost
+    assert heard([1, 4, 5, 6, 8]) == (3, [[1, 8]])
 
 
-def test_several_publishers_have_no_common_numbering() -> None:
-    losses = Losses()
-    for number, single in ((1, True), (2, True), (40, False), (3, False), (90, True), (91, True)):
-        losses.heard('/a', number, single)
-    losses.heard('/a', None, True)
-    losses.heard('/a', 95, True)
-    assert (losses.total, losses.report()) == (0, [])
-    losses.dropped('/a', 7)
-    assert losses.total == 7
-    assert losses.report() == ['/a: 0 missing in the numbering, 7 reported by DDS']
+def test_a_publisher_that_was_restarted_has_numbers_of_its_own() -> None:
+    assert heard([7, 8, 1, 2, 4]) == (1, [[7, 8], [1, 4]])
+    assert heard([7, 8, 1, 2, 4], publishers=2) == (1, [[7, 8], [1, 4]])
 
 
-def test_numbers_that_follow() -> None:
-    losses = Losses()
-    assert losses.follows('/a', 8)
-    losses.heard('/a', 8, True)
-    assert losses.follows('/a', 9)
-    assert losses.follows('/a', None)
-    assert not losses.follows('/a', 8)
-    assert not losses.follows('/a', 10)
+def test_publishers_of_one_topic_are_told_apart_by_their_numbers() -> None:
+    one, two = range(1, 40), range(100, 139)
+    both = [number for pair in zip(one, two, strict=True) for number in pair]
+    assert heard(both, publishers=2) == (0, [[1, 39], [100, 138]])
+    assert heard([n for n in both if n not in (20, 21, 130)], publishers=2)[0] == 3
+    same = [number for number in range(1, 40) for _ in range(3)]
+    assert heard(same, publishers=3)[0] == 0
+    del same[60]
+    assert heard(same, publishers=3)[0] == 1
+
+
+@given(st.data())
+def test_never_more_is_told_than_was_lost(data: st.DataObject) -> None:
+    senders = data.draw(st.lists(st.integers(1, 60), min_size=1, max_size=4))
+    order = data.draw(st.permutations([k for k, n in enumerate(senders) for _ in range(n)]))
+    lost = data.draw(st.sets(st.integers(0, len(order) - 1)))
+    counts, first, last, numbers = Counter[int](), {}, {}, []
+    for at, sender in enumerate(order):
+        counts[sender] += 1
+        if at not in lost:
+            numbers.append(counts[sender])
+            first.setdefault(sender, counts[sender])
+            last[sender] = counts[sender]
+    gaps = sum(last[k] - first[k] + 1 for k in first) - len(numbers)
+    told, _ = heard(numbers, publishers=len(senders))
+    assert told <= gaps
+    if len(senders) == 1:
+        assert told == gaps
+
+
+def test_losses_are_told_by_topic() -> None:
+    losses = Losses(lambda topic: {b'one'})
+    for number in (1, 2, 5, None):
+        losses.heard('/a', number)
+    losses.heard('/b', 1)
+    losses.dropped('/a', 1)
+    losses.dropped('/c', 7)
+    assert losses.by_topic() == {'/a': 2, '/c': 7}
+    assert losses.report() == [
+        '/a: 2 missing in the numbering, 1 reported by DDS',
+        '/c: 0 missing in the numbering, 7 reported by DDS',
+    ]
 
 
 def test_a_recorder_that_is_held_up_tells_what_it_lost(room: Graph, tmp_path: Path) -> None:

@@ -1,0 +1,70 @@
+"""What a recorder is told on its command line: rosbag2's words, and a few of ours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import re
+from typing import Annotated, Literal
+
+from shepherd_ros.bags.contract import known
+from shepherd_ros.config import ConfigError
+import tyro
+
+
+@dataclass(frozen=True)
+class RecorderOptions:
+    """Record topics into a rosbag2 directory; by default those of the contract."""
+
+    output: Annotated[str, tyro.conf.arg(aliases=['-o'])] = ''
+    """Folder to write; by default rosbag2_ and the time."""
+    topics: tuple[str, ...] = ()
+    """Names of topics to record, instead of those of the contract."""
+    regex: Annotated[str, tyro.conf.arg(aliases=['-e'])] = ''
+    """Record topics whose name matches this regular expression, too."""
+    exclude: Annotated[str, tyro.conf.arg(aliases=['-x'])] = ''
+    """Leave out topics whose name matches this regular expression."""
+    all: Annotated[bool, tyro.conf.arg(aliases=['-a'])] = False
+    """Record every topic."""
+    compression: Literal['none', 'zstd', 'lz4'] = 'none'
+    """Compression of chunks."""
+    max_bag_size: Annotated[int, tyro.conf.arg(aliases=['-b'])] = 0
+    """Go on in a new file after so many bytes; 0: never."""
+    max_bag_duration: Annotated[float, tyro.conf.arg(aliases=['-d'])] = 0.0
+    """Go on in a new file after so many seconds; 0: never."""
+    per_episode: bool = False
+    """One bag per episode: output/episode_0000 and so on."""
+    start_paused: bool = False
+    """Record nothing before ~/start is called."""
+    use_sim_time: bool = False
+    """Log times are those of /clock."""
+
+    def check(self) -> None:
+        """Raise ConfigError for numbers that make no sense."""
+        if not (self.max_bag_size >= 0 and self.max_bag_duration >= 0):
+            values = f'--max-bag-size is {self.max_bag_size}, -duration {self.max_bag_duration}'
+            raise ConfigError(f'{values}: expected 0 (never) or more')
+        _ = self.pattern('regex'), self.pattern('exclude')
+
+    def pattern(self, name: str) -> re.Pattern[str] | None:
+        """Return a compiled expression, None if there is none; ConfigError for a bad one."""
+        text = getattr(self, name)
+        try:
+            return re.compile(text) if text else None
+        except re.error as error:
+            what = f'--{name} is {text!r}: expected a regular expression'
+            raise ConfigError(f'{what} ({error})') from None
+
+    def wish(self, resolve: Callable[[str], str]) -> Callable[[str], bool]:
+        """Return which full names to record; resolve(name) makes a full name of a relative one."""
+        regex, exclude = self.pattern('regex'), self.pattern('exclude')
+        names = {resolve(name) for name in self.topics}
+        contract_too = not (names or regex or self.all)
+
+        def wanted(name: str) -> bool:
+            if exclude is not None and exclude.search(name):
+                return False
+            by_name = name in names or (regex is not None and regex.search(name) is not None)
+            return self.all or by_name or (contract_too and known(name) is not None)
+
+        return wanted
