@@ -16,6 +16,7 @@ class UserError(Exception):
 def main(arguments: list[str] | None = None) -> int:
     """Run a verb and return the exit code: 2 for a mistake of the user's, 130 for Ctrl-C."""
     from shepherd_ros.cli.bag import BagVerbs
+    from shepherd_ros.cli.counterfactual import Counterfactual
     from shepherd_ros.cli.demo import Demo
     from shepherd_ros.cli.evaluate import Evaluate
     from shepherd_ros.cli.record import Record
@@ -27,6 +28,7 @@ def main(arguments: list[str] | None = None) -> int:
         'evaluate': Evaluate,
         'record': Record,
         'replay': Replay,
+        'counterfactual': Counterfactual,
         'bag': BagVerbs,
     }
     try:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TYPE_CHECKING
 
 from shepherd_ros.cli import UserError
 import tyro
+
+if TYPE_CHECKING:
+    from shepherd_ros.bags.episodes import Episode
 
 Bags = tyro.conf.Positional[Path]
 DIFFERENT = 1  # exit code of check and diff when something was found
@@ -112,6 +115,31 @@ class Diff:
         return 0 if result.equal else DIFFERENT
 
 
+def one_episode(bag: Path, namespace: str | None, number: int) -> Episode:
+    """Return an episode of a bag, counted from 0, that has states; raises UserError."""
+    from itertools import islice
+
+    from shepherd_ros.bags.episodes import iter_episodes
+    from shepherd_ros.bags.reader import open_bag
+
+    episodes = iter_episodes(open_bag(bag), namespace)
+    episode = next(islice(episodes, max(number, 0), None), None)
+    if episode is None or not episode.frames:
+        raise UserError(
+            f'--episode is {number}: expected an episode with states, counted from 0, as '
+            f'`shepherd bag info {bag}` lists them'
+        )
+    return episode
+
+
+def made_folder(option: str, folder: Path) -> None:
+    """Make a folder unless it is there; raises UserError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f'{option} is {folder}: expected a folder ({error.strerror})') from None
+
+
 @dataclass
 class Render:
     """Draw an episode of a bag: a picture, an animation and a page that replays it."""
@@ -127,10 +155,6 @@ class Render:
 
     def run(self) -> int:
         """Draw and print what was written."""
-        from itertools import islice
-
-        from shepherd_ros.bags.episodes import iter_episodes
-        from shepherd_ros.bags.reader import open_bag
         from shepherd_ros.evaluation.replay import (
             metrics_over_time,
             ranges_of,
@@ -141,19 +165,8 @@ class Render:
         from shepherd_ros.view.page import write_page
         from shepherd_ros.view.picture import draw_tracks
 
-        episodes = iter_episodes(open_bag(self.bag), self.namespace)
-        episode = next(islice(episodes, max(self.episode, 0), None), None)
-        if episode is None or not episode.frames:
-            raise UserError(
-                f'--episode is {self.episode}: expected an episode with states, counted from 0, '
-                f'as `shepherd bag info {self.bag}` lists them'
-            )
-        try:
-            self.output.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UserError(
-                f'--output is {self.output}: expected a folder ({error.strerror})'
-            ) from None
+        episode = one_episode(self.bag, self.namespace, self.episode)
+        made_folder('--output', self.output)
         track = track_of(
             episode, f'{self.bag.name}, episode {episode.number}, seed {episode.seed}'
         )

@@ -101,7 +101,7 @@ def ranges_of(episode: Episode) -> np.ndarray | None:
     )
 
 
-def track_of(episode: Episode, title: str) -> EpisodeTrack:
+def track_of(episode: Episode, title: str, parting: int | None = None) -> EpisodeTrack:
     """Return the episode for pictures and animations, with the lidar of shepherd 0 if recorded."""
     states, ranges = states_of(episode), ranges_of(episode)
     return EpisodeTrack(
@@ -113,4 +113,5 @@ def track_of(episode: Episode, title: str) -> EpisodeTrack:
         title=title,
         ranges=None if ranges is None else ranges[:, 0],
         lidar_shepherd=0,
+        parting=parting,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from matplotlib.artist import Artist
@@ -39,26 +39,34 @@ def animate(
     *,
     max_frames: int = 200,
     fps: float = 20,
+    first: int = 0,
+    beside: Sequence[EpisodeTrack] = (),
     on_frame: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
     """
-    Write an episode as .gif or .mp4.
+    Write an episode as .gif or .mp4, with others beside it in the same scale.
 
-    At most max_frames of its steps are shown, evenly spread, fps per second of playing time.
-    on_frame(done, total) is called after each frame.
+    At most max_frames of its steps are shown, evenly spread from the first one on, fps per second
+    of playing time; one that ends earlier rests. on_frame(done, total) is called after each frame.
     """
     if max_frames < 1:
         raise ConfigError(f'max_frames is {max_frames}: expected at least 1')
     write = video_writer(Path(path), fps)
-    steps = frame_steps(len(track.times), max_frames)
-    painter = Painter(track)
+    tracks = (track, *beside)
+    rest = max(len(t.times) for t in tracks) - first
+    steps = [first + step for step in frame_steps(rest, max_frames)]
+    painters = [Painter(t, tracks) for t in tracks]
+
+    def paint(step: int) -> np.ndarray:
+        shown = [painter.paint(min(step, len(painter.track.times) - 1)) for painter in painters]
+        return np.concatenate(shown, axis=1)
 
     def frames() -> Iterator[np.ndarray]:
         for done, step in enumerate(steps, start=1):
-            yield painter.paint(step)
+            yield paint(step)
             on_frame(done, len(steps))
 
-    samples = [painter.paint(step) for step in frame_steps(len(track.times), 8)]
+    samples = [paint(first + step) for step in frame_steps(rest, 8)]
     write(frames(), samples)
 
 
@@ -83,10 +91,10 @@ def trail_segments(positions: Array) -> Array:
 class Painter:
     """Paints any step of a track on one canvas: what never moves is drawn once."""
 
-    def __init__(self, track: EpisodeTrack) -> None:
-        """Make the artists and paint the background."""
+    def __init__(self, track: EpisodeTrack, beside: Sequence[EpisodeTrack] = ()) -> None:
+        """Make the artists and paint the background, large enough for the tracks beside it."""
         self.track = track
-        self.figure, axes = make_scene(track)
+        self.figure, axes = make_scene(track, beside=beside)
         self.moving: list[Artist] = []
 
         def add(artist: Artist) -> Artist:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 import numpy as np
+from PIL import Image
 from shepherd_ros.view.scene import (
     BADGE,
     GOAL,
@@ -30,19 +33,42 @@ from shepherd_ros.view.track import Array, EpisodeTrack
 SNAPSHOTS = 4  # times at which all sheep are drawn, pale to dark
 MARKS = 6  # times marked on the tracks, about
 SPACING = 0.045  # of the plot's width: nearest that two times are written
+PARTING = '#F0E442'  # yellow
 HALO = [withStroke(linewidth=2.6, foreground='white')]
 
 
-def draw_tracks(track: EpisodeTrack, path: Path | str, *, scale: float = 2.0) -> None:
-    """Write the picture of an episode, as .png (or .pdf, .svg); at scale 1 it has 100 dpi."""
-    figure, axes = make_scene(track, scale)
+def draw_tracks(
+    track: EpisodeTrack,
+    path: Path | str,
+    *,
+    scale: float = 2.0,
+    beside: Sequence[EpisodeTrack] = (),
+) -> None:
+    """
+    Write the picture of an episode, as .png (or .pdf, .svg); at scale 1 it has 100 dpi.
+
+    With others beside it, all in the same scale, it is a .png.
+    """
+    tracks = (track, *beside)
+    figures = [_figure(t, scale, tracks) for t in tracks]
+    if len(figures) == 1:
+        figures[0].savefig(path)
+        return
+    for figure in figures:
+        figure.canvas.draw()
+    rows = [np.asarray(figure.canvas.buffer_rgba())[..., :3] for figure in figures]
+    Image.fromarray(np.concatenate(rows, axis=1)).save(path)
+
+
+def _figure(track: EpisodeTrack, scale: float, tracks: Sequence[EpisodeTrack]) -> Figure:
+    figure, axes = make_scene(track, scale, tracks)
     steps = snapshot_steps(len(track.times))
     draw_goal(axes, track)
     handles = draw_flock(axes, track, steps)
     handles += draw_ways(axes, track)
     line(figure, 50, fontsize=9.5, color=INK).set_text(summary(track))
     legend(figure, handles, columns=4)
-    figure.savefig(path)
+    return figure
 
 
 def snapshot_steps(n_steps: int) -> list[int]:
@@ -103,6 +129,9 @@ def draw_ways(axes: Axes, track: EpisodeTrack) -> list[Line2D]:
     axes.plot(*center.T, color=INK, linewidth=1.8, zorder=7, path_effects=HALO)
     axes.plot(*center[marks].T, 'o', ms=4, mfc='white', mec=INK, mew=1.2, zorder=8)
     write_times(axes, track, marks)
+    if track.parting is not None:
+        style: dict[str, Any] = {'marker': 'D', 'ls': 'none', 'mfc': PARTING, 'mec': INK}
+        axes.plot(*center[track.parting], ms=8, mew=1.2, zorder=8.5, **style)
     first = {'color': shepherd_color(0), 'marker': 'o', 'linewidth': 1.3}
     return [
         Line2D(
@@ -149,4 +178,7 @@ def summary(track: EpisodeTrack) -> str:
     """Return the line over the picture: length of the episode and share of sheep in the goal."""
     steps, share = len(track.times) - 1, 100 * int(track.in_goal[-1]) // track.sheep.shape[1]
     length = f'{steps} steps    {track.times[-1] - track.times[0]:.4g} s'
-    return f'{length}    {share} % of the sheep in the goal at the end'
+    text = f'{length}    {share} % of the sheep in the goal at the end'
+    if track.parting is None:
+        return text
+    return f'{text}    \N{BLACK DIAMOND} parting, {track.times[track.parting]:.4g} s'

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -44,10 +45,13 @@ def sheep_size(n_sheep: int) -> float:
     return float(np.clip(5.5 * (100 / n_sheep) ** 0.3, 2.0, 8.0))
 
 
-def view_limits(track: EpisodeTrack) -> tuple[float, float, float, float]:
+def view_limits(*tracks: EpisodeTrack) -> tuple[float, float, float, float]:
     """Return left, right, bottom and top [m] of a plane that holds everybody and the goal."""
-    radius = track.goal_radius
-    points = (track.sheep, track.shepherds, track.goal - radius, track.goal + radius)
+    points = [
+        points
+        for t in tracks
+        for points in (t.sheep, t.shepherds, t.goal - t.goal_radius, t.goal + t.goal_radius)
+    ]
     flat = np.concatenate([p.reshape(-1, 2) for p in points])
     low, high = flat.min(axis=0), flat.max(axis=0)
     middle, size = (low + high) / 2, 1.07 * (high - low)
@@ -58,9 +62,15 @@ def view_limits(track: EpisodeTrack) -> tuple[float, float, float, float]:
     return float(left), float(right), float(bottom), float(top)
 
 
-def make_scene(track: EpisodeTrack, scale: float = 1.0) -> tuple[Figure, Axes]:
-    """Return an empty figure with its Agg canvas, and axes in metres; its size in px is even."""
-    left, right, bottom, top = view_limits(track)
+def make_scene(
+    track: EpisodeTrack, scale: float = 1.0, beside: Sequence[EpisodeTrack] = ()
+) -> tuple[Figure, Axes]:
+    """
+    Return an empty figure with its Agg canvas, and axes in metres; its size in px is even.
+
+    The axes also hold the tracks that are to be seen beside it.
+    """
+    left, right, bottom, top = view_limits(track, *beside)
     aspect = (right - left) / (top - bottom)
     width, height = PLOT_AREA * aspect**0.5, PLOT_AREA * aspect**-0.5
     full = [2 * round(s / 2) for s in (width + LEFT + RIGHT, height + TOP + BOTTOM)]

@@ -28,6 +28,7 @@ class EpisodeTrack:
     title: str = ''
     ranges: Array | None = None  # (T, 3, R) m
     lidar_shepherd: int = 0  # whose lidar it is
+    parting: int | None = None  # step at which another future begins, to be marked
 
     def __post_init__(self) -> None:
         """Take anything that numpy can read; check shapes and that numbers are finite."""
