@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from itertools import zip_longest
 from typing import Any
@@ -54,19 +54,20 @@ class DiffResult:
         return '\n'.join([*lines, 'equal' if self.equal else 'different'])
 
 
-def diff_bags(left: Bag, right: Bag, *, times: bool = False) -> DiffResult:
+def diff_bags(left: Bag, right: Bag, *, times: bool = False, once: bool = False) -> DiffResult:
     """
     Compare the messages of each topic in their order; raises BagError where a bag is damaged.
 
-    NaN equals NaN. times: the log times have to be equal too. Messages of one bag wait in memory
-    until the other has come as far.
+    NaN equals NaN. times: the log times have to be equal too. once: only without_repeats() of
+    both. Messages of one bag wait in memory until the other has come as far.
     """
     counts: tuple[Counter[str], Counter[str]] = Counter(), Counter()
     waiting: defaultdict[str, deque[BagMessage]] = defaultdict(deque)
     ahead: dict[str, int] = {}  # which bag has messages waiting
     first: dict[str, tuple[int, str]] = {}
     bags, decoders = (left, right), (Decoder(left), Decoder(right))
-    for pair in zip_longest(left.messages(), right.messages()):
+    rows = [without_repeats(bag.messages()) if once else bag.messages() for bag in bags]
+    for pair in zip_longest(*rows):
         for side, message in enumerate(pair):
             if message is None:
                 continue
@@ -89,6 +90,22 @@ def diff_bags(left: Bag, right: Bag, *, times: bool = False) -> DiffResult:
     return DiffResult(
         [TopicDiff(n, counts[0][n], counts[1][n], *first.get(n, (None, ''))) for n in names]
     )
+
+
+def without_repeats(messages: Iterable[BagMessage]) -> Iterator[BagMessage]:
+    """
+    Yield messages but those that say exactly the same as the one before them on their topic.
+
+    flock_sim shows a state again that nobody answers, and its readers answer again. That has the
+    same stamp again; what has no stamp, such as metrics, can stay the same from state to state
+    too, and then counts once as well.
+    """
+    before: dict[str, bytes] = {}
+    for message in messages:
+        content = message.data.rstrip(b'\0')  # padding at the end says nothing
+        if before.get(message.topic) != content:
+            before[message.topic] = content
+            yield message
 
 
 class Decoder:

@@ -104,13 +104,17 @@ class Diff:
     """The other bag."""
     times: bool = False
     """Also compare the times of recording."""
+    once: bool = False
+    """Count a message that is exactly the one before it on its topic once. flock_sim shows a state
+    again while it waits for answers, so two runs with one seed may differ in such repeats."""
 
     def run(self) -> int:
         """Print a line for each topic."""
         from shepherd_ros.bags.diff import diff_bags
         from shepherd_ros.bags.reader import open_bag
 
-        result = diff_bags(open_bag(self.left), open_bag(self.right), times=self.times)
+        left, right = open_bag(self.left), open_bag(self.right)
+        result = diff_bags(left, right, times=self.times, once=self.once)
         print(result.text())
         return 0 if result.equal else DIFFERENT
 

@@ -178,7 +178,7 @@ def summary(track: EpisodeTrack) -> str:
     """Return the line over the picture: length of the episode and share of sheep in the goal."""
     steps, share = len(track.times) - 1, 100 * int(track.in_goal[-1]) // track.sheep.shape[1]
     length = f'{steps} steps    {track.times[-1] - track.times[0]:.4g} s'
-    text = f'{length}    {share} % of the sheep in the goal at the end'
+    text = f'{length}    {share} % of the sheep in the goal'
     if track.parting is None:
-        return text
+        return f'{text} at the end'
     return f'{text}    \N{BLACK DIAMOND} parting, {track.times[track.parting]:.4g} s'

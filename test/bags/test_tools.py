@@ -163,6 +163,25 @@ def test_missing_messages_and_topics_are_counted(bag: Bag, tmp_path: Path) -> No
     assert result.text().endswith('different')
 
 
+def test_what_is_said_again_counts_once_if_asked(bag: Bag, tmp_path: Path) -> None:
+    rows = list(MESSAGES)
+    for topic, padding in (('/flock/poses', b''), ('/episode', b'\0'), ('/clock', b'')):
+        place = [i for i, m in enumerate(rows) if m.topic == topic][1]
+        data = rows[place].data + padding  # as DDS pads what it carries
+        rows.insert(place + 1, rows[place]._replace(data=data, log_ns=rows[place].log_ns + 1))
+    other = open_bag(write(tmp_path / 'again', rows))
+    unequal = [t.topic for t in diff_bags(bag, other).topics if not t.equal]
+    assert unequal == ['/clock', '/episode', '/flock/poses']
+    assert diff_bags(bag, other, once=True).equal
+    assert diff_bags(other, other, once=True).text() == diff_bags(bag, bag, once=True).text()
+    # what is left out, or comes back later, is no repeat
+    less = open_bag(write(tmp_path / 'less', without(MESSAGES, '/flock/poses', 1)))
+    assert not diff_bags(bag, less, once=True).equal
+    poses = [m for m in MESSAGES if m.topic == '/flock/poses']
+    late = [*MESSAGES, poses[0]._replace(log_ns=MESSAGES[-1].log_ns + 1)]
+    assert not diff_bags(bag, open_bag(write(tmp_path / 'late', late)), once=True).equal
+
+
 def test_log_times_count_only_if_asked(bag: Bag, tmp_path: Path) -> None:
     rows = [m._replace(log_ns=m.log_ns + (m.topic == '/goal')) for m in MESSAGES]
     other = open_bag(write(tmp_path / 'b', rows))
