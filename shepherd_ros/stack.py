@@ -75,16 +75,8 @@ def launch_values(given: dict[str, str]) -> LaunchValues:
     """Return the arguments of the launch file in their types, or raise ConfigError."""
 
     def number(name: str, kind: type) -> Any:
-        try:
-            return kind(given[name])
-        except ValueError:
-            raise ConfigError(
-                f'{name} is {given[name]!r}: expected {kind.__name__}, such as '
-                f'{LAUNCH_ARGUMENTS[name][0]}'
-            ) from None
+        return _number(name, given[name], kind, LAUNCH_ARGUMENTS[name][0])
 
-    if given['rviz'] not in ('true', 'false'):
-        raise ConfigError(f'rviz is {given["rviz"]!r}: expected true or false')
     return LaunchValues(
         controller=given['controller'],
         n_shepherds=number('n_shepherds', int),
@@ -95,5 +87,75 @@ def launch_values(given: dict[str, str]) -> LaunchValues:
         },
         params_file=given['params_file'],
         namespace=given['namespace'],
-        rviz=given['rviz'] == 'true',
+        rviz=_truth('rviz', given['rviz']),
+    )
+
+
+def _number(name: str, text: str, kind: type, example: str) -> Any:
+    try:
+        return kind(text)
+    except ValueError:
+        raise ConfigError(
+            f'{name} is {text!r}: expected {kind.__name__}, such as {example}'
+        ) from None
+
+
+def _truth(name: str, text: str) -> bool:
+    if text not in ('true', 'false'):
+        raise ConfigError(f'{name} is {text!r}: expected true or false')
+    return text == 'true'
+
+
+REPLAY_ARGUMENTS: dict[str, tuple[str, str]] = {
+    'bag': ('', 'folder of a bag, or one .mcap file'),
+    'rate': ('1.0', 'pace; 2.0 is twice as fast'),
+    'loop': ('false', 'begin anew at the end: true or false'),
+    'controller': ('', 'controller that answers instead of the recorded one; empty: none does'),
+    'params_file': ('', 'YAML file with parameters of the controller'),
+    'namespace': ('', 'namespace of all topics; empty: that of the recording'),
+    'rviz': ('false', 'also start RViz: true or false'),
+}
+READERS = 5.0  # [s] that a controller gets to start before the bag is played
+
+
+@dataclass(frozen=True)
+class ReplayValues:
+    """What the launch file starts to play a bag."""
+
+    player: list[str]  # words of its command line
+    remaps: list[tuple[str, str]]  # of the player
+    controller: str
+    n_shepherds: int
+    params_file: str
+    namespace: str
+    rviz: bool
+
+
+def replay_values(given: dict[str, str], topics: list[str]) -> ReplayValues:
+    """
+    Return the arguments of the launch file with what follows from the topics of the bag.
+
+    With a controller, recorded commands are not played. Raises ConfigError.
+    """
+    recorded = next((n.removesuffix('/episode') for n in topics if n.endswith('/episode')), '')
+    space = given['namespace'].strip('/')
+    remaps = [
+        (name, f'/{space}{name.removeprefix(recorded)}')
+        for name in topics
+        if space and name.startswith(f'{recorded}/') and name not in ('/clock', '/diagnostics')
+    ]
+    rate = _number('rate', given['rate'], float, REPLAY_ARGUMENTS['rate'][0])
+    words = [given['bag'], '--rate', str(rate)]
+    words += ['--loop'] if _truth('loop', given['loop']) else []
+    commands = [name for name in topics if name.endswith('/cmd_vel')]
+    if given['controller']:
+        words += ['--wait', str(READERS), '--topics', *(n for n in topics if n not in commands)]
+    return ReplayValues(
+        player=words,
+        remaps=remaps,
+        controller=given['controller'],
+        n_shepherds=len(commands),
+        params_file=given['params_file'],
+        namespace=space or recorded.strip('/'),
+        rviz=_truth('rviz', given['rviz']),
     )

@@ -5,13 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable
 import hashlib
 from pathlib import Path
+import re
 
-from bags.tiny import EPISODES, N_SHEEP, N_SHEPHERDS, recording, STEPS, tiny_bag, without, write
+from bags.tiny import (
+    cdr,
+    EPISODES,
+    make,
+    N_SHEEP,
+    N_SHEPHERDS,
+    recording,
+    STEPS,
+    tiny_bag,
+    without,
+    write,
+)
 from pyarrow import csv, parquet
 import pytest
+from shepherd_ros.bags.decode import decode_string
 from shepherd_ros.bags.diff import diff_bags
+from shepherd_ros.bags.episodes import iter_episodes
 from shepherd_ros.bags.reader import open_bag
 from shepherd_ros.cli import main
+from shepherd_ros.evaluation.replay import metrics_over_time, states_of
+from shepherd_ros.evaluation.summary import COLUMNS
 
 MESSAGES = recording()[0]
 STATES = EPISODES * (STEPS + 1)
@@ -54,6 +70,43 @@ def test_info_tells_topics_and_episodes(bag: Path, shepherd: Callable[..., Said]
     assert f'Topic: /flock/poses | Type: geometry_msgs/msg/PoseArray | Count: {STATES} ' in out
     assert out.count(f'States: {STEPS + 1} of {STEPS + 1} | whole') == EPISODES
     assert prints(bag) == before
+
+
+def test_info_tells_the_metrics_of_each_episode(
+    bag: Path, tmp_path: Path, shepherd: Callable[..., Said]
+) -> None:
+    lines = shepherd('info', bag)[1].splitlines()
+    place = next(k for k, line in enumerate(lines) if line.startswith('Metrics: '))
+    header = re.split(r'  +', lines[place])
+    assert header == ['Metrics:', 'episode', 'seed', *COLUMNS.values()]
+    rows = [re.split(r'  +', line.strip()) for line in lines[place + 1 :]]
+    assert [row[:2] for row in rows] == [['0', '7'], ['1', '8']]
+    for row, episode in zip(rows, iter_episodes(open_bag(bag)), strict=True):
+        curves = metrics_over_time(states_of(episode), episode.episode_steps)
+        for told, name in zip(row[2:], COLUMNS, strict=True):
+            late = name == 'completion_time' and not curves['completed'][-1]
+            assert told == ('never' if late else f'{curves[name][-1]:.4g}'), name
+    assert 'Metrics' not in shepherd('info', bag, '--no-metrics')[1]
+
+
+def test_info_of_states_that_cannot_be_counted_has_no_metrics_for_them(
+    tmp_path: Path, shepherd: Callable[..., Said]
+) -> None:
+    text = {
+        '"n_sheep": 5, "n_shepherds"': '"n_sheep": 6, "n_shepherds"',
+        '"goal_radius": 4.0, "m': '"m',
+    }
+    for k, (old, new) in enumerate(text.items()):
+        rows = []
+        for m in MESSAGES:
+            if m.topic == '/episode':
+                said = decode_string(m.data)
+                assert old in said
+                m = m._replace(data=cdr(make('String', data=said.replace(old, new))))
+            rows.append(m)
+        code, out, err = shepherd('info', write(tmp_path / str(k), rows))
+        assert (code, err) == (0, '')
+        assert [line.split()[2:] for line in out.splitlines()[-2:]] == [['?'] * len(COLUMNS)] * 2
 
 
 def test_check_of_a_whole_bag_is_zero_and_of_a_gap_one(

@@ -8,7 +8,14 @@ from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes.defaults import parameter_file, WITH_FILE
 from shepherd_ros.share import share_file
-from shepherd_ros.stack import herding_stack, LAUNCH_ARGUMENTS, launch_values
+from shepherd_ros.stack import (
+    herding_stack,
+    LAUNCH_ARGUMENTS,
+    launch_values,
+    REPLAY_ARGUMENTS,
+    replay_values,
+    ReplayValues,
+)
 from shepherd_ros.topics import renamed_topics
 import yaml
 
@@ -62,12 +69,74 @@ def test_a_bad_launch_argument_is_named(given: dict[str, str], message: str) -> 
         launch_values(DEFAULTS | given)
 
 
-def test_the_launch_file_declares_the_arguments_and_reads_them_from_the_stack() -> None:
-    source = (ROOT / 'launch' / 'simulate.launch.py').read_text(encoding='utf-8')
+@pytest.mark.parametrize(
+    ('file', 'used'),
+    [
+        ('simulate', {'LAUNCH_ARGUMENTS', 'launch_values', 'herding_stack'}),
+        ('replay', {'REPLAY_ARGUMENTS', 'replay_values'}),
+    ],
+)
+def test_the_launch_file_declares_the_arguments_and_reads_them_from_the_stack(
+    file: str, used: set[str]
+) -> None:
+    source = (ROOT / 'launch' / f'{file}.launch.py').read_text(encoding='utf-8')
     names = {node.id for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Name)}
-    assert {'LAUNCH_ARGUMENTS', 'launch_values', 'herding_stack'} <= names
+    assert used <= names
     functions = [n.name for n in ast.parse(source).body if isinstance(n, ast.FunctionDef)]
     assert 'generate_launch_description' in functions
+
+
+RECORDED = ['/clock', '/episode', '/flock/poses', '/shepherd_0/cmd_vel', '/shepherd_0/scan/goal']
+
+
+def replayed(topics: list[str] = RECORDED, **given: str) -> ReplayValues:
+    """Return what the launch file makes of its arguments."""
+    return replay_values(
+        {name: default for name, (default, _) in REPLAY_ARGUMENTS.items()} | {'bag': 'b'} | given,
+        topics,
+    )
+
+
+def test_a_bag_is_played_as_a_whole_unless_a_controller_answers() -> None:
+    assert replayed().player == ['b', '--rate', '1.0']
+    assert replayed(rate='2', loop='true').player == ['b', '--rate', '2.0', '--loop']
+    words = replayed(controller='pierson').player
+    played = words[words.index('--topics') + 1 :]
+    assert played == [name for name in RECORDED if name != '/shepherd_0/cmd_vel']
+
+
+def test_the_player_takes_the_words_of_the_launch_file() -> None:
+    tyro = pytest.importorskip('tyro')
+    options = pytest.importorskip('shepherd_ros.nodes.player_node').PlayerOptions
+    words = replayed(controller='pierson', rate='2', loop='true').player
+    parsed = tyro.cli(options, args=words)
+    assert (parsed.bag, parsed.rate, parsed.loop, parsed.wait) == (Path('b'), 2.0, True, 5.0)
+    assert parsed.topics == ('/clock', '/episode', '/flock/poses', '/shepherd_0/scan/goal')
+
+
+def test_a_namespace_takes_the_place_of_the_recorded_one() -> None:
+    assert (replayed().remaps, replayed().namespace) == ([], '')
+    values = replayed(namespace='/farm/')
+    assert (values.namespace, values.n_shepherds) == ('farm', 1)
+    assert dict(values.remaps) == {name: f'/farm{name}' for name in RECORDED if name != '/clock'}
+    topics = [name if name == '/clock' else f'/field{name}' for name in RECORDED]
+    assert (replayed(topics).remaps, replayed(topics).namespace) == ([], 'field')
+    moved = dict(replayed(topics, namespace='farm').remaps)
+    assert moved['/field/flock/poses'] == '/farm/flock/poses'
+    assert '/clock' not in moved
+
+
+@pytest.mark.parametrize(
+    ('given', 'message'),
+    [
+        ({'rate': 'fast'}, "rate is 'fast': expected float, such as 1.0"),
+        ({'loop': 'yes'}, "loop is 'yes': expected true or false"),
+        ({'rviz': '1'}, "rviz is '1': expected true or false"),
+    ],
+)
+def test_a_bad_argument_of_the_replay_is_named(given: dict[str, str], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        replayed(**given)
 
 
 @pytest.mark.parametrize(

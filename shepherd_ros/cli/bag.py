@@ -18,17 +18,25 @@ DIFFERENT = 1  # exit code of check and diff when something was found
 
 @dataclass
 class Info:
-    """Show what is in a bag: files, topics, episodes."""
+    """Show what is in a bag: files, topics, episodes and their metrics."""
 
     bag: Bags
     """Folder of a bag, or one .mcap file."""
+    metrics: bool = True
+    """Count the metrics of each episode from its poses."""
 
     def run(self) -> int:
         """Print it."""
         from shepherd_ros.bags.info import bag_info
         from shepherd_ros.bags.reader import open_bag
 
-        print(bag_info(open_bag(self.bag)).text())
+        bag = open_bag(self.bag)
+        text = bag_info(bag).text()
+        if self.metrics:
+            from shepherd_ros.evaluation.summary import metrics_lines
+
+            text = '\n'.join([text, *metrics_lines(bag)])
+        print(text)
         return 0
 
 

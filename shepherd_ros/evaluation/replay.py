@@ -7,6 +7,7 @@ import json
 
 import numpy as np
 from shepherd_ros.bags.episodes import Episode, Frame
+from shepherd_ros.config import ConfigError
 from shepherd_ros.episode import Episode as Description
 from shepherd_ros.sim.metrics import count_step, METRICS, metrics, start_tally
 from shepherd_ros.sim.state import stack, WorldState
@@ -23,10 +24,13 @@ def states_of(episode: Episode, frames: Sequence[Frame] | None = None) -> WorldS
     """
     Return the recorded states, or some of them, as a batch (T), bit by bit as they were.
 
-    A goal that was not recorded is at 0, 0.
+    A goal that was not recorded is at 0, 0. Raises ConfigError if the radius of the goal is not
+    known.
     """
     states = []
-    radius = float(episode.config['goal_radius'])
+    radius = episode.config.get('goal_radius')
+    if not isinstance(radius, int | float):
+        raise ConfigError(f'goal_radius of an episode is {radius!r}: expected metres')
     for frame in episode.frames if frames is None else frames:
         goal = np.zeros(2) if frame.goal is None else frame.goal
         states.append(
@@ -39,7 +43,7 @@ def states_of(episode: Episode, frames: Sequence[Frame] | None = None) -> WorldS
                 shepherds=_tensor(frame.shepherds),
                 shepherd_mask=torch.ones(episode.n_shepherds, dtype=torch.bool),
                 goal=_tensor(goal),
-                goal_radius=torch.tensor(radius),
+                goal_radius=torch.tensor(float(radius)),
             )
         )
     return stack(states)

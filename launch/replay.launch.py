@@ -1,0 +1,60 @@
+"""
+Play a bag on its topics, to look at it or to let another controller answer.
+
+Arguments: ros2 launch shepherd_ros replay.launch.py --show-args
+"""
+
+from launch import LaunchContext, LaunchDescription
+from launch.action import Action
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from shepherd_ros.bags.reader import open_bag
+from shepherd_ros.share import share_file
+from shepherd_ros.stack import REPLAY_ARGUMENTS, replay_values
+from shepherd_ros.topics import renamed_topics
+
+
+def nodes(context: LaunchContext) -> list[Action]:
+    """Return the nodes that the arguments ask for."""
+    given = {name: LaunchConfiguration(name).perform(context) for name in REPLAY_ARGUMENTS}
+    values = replay_values(given, list(open_bag(given['bag']).topics))
+    actions: list[Action] = [
+        Node(
+            package='shepherd_ros',
+            executable='player',
+            arguments=values.player,
+            remappings=values.remaps,
+            output='screen',
+            on_exit=Shutdown(),
+        )
+    ]
+    if values.controller:
+        actions.append(
+            Node(
+                package='shepherd_ros',
+                executable=values.controller,
+                name=values.controller,
+                namespace=values.namespace,
+                parameters=[values.params_file] if values.params_file else [],
+                output='screen',
+            )
+        )
+    if values.rviz:
+        view = ['-d', str(share_file('config', 'shepherd.rviz'))]
+        renames = renamed_topics(values.namespace, values.n_shepherds)
+        actions.append(
+            Node(package='rviz2', executable='rviz2', arguments=view, remappings=renames)
+        )
+    return actions
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the arguments and what follows from them; the bag has to be given."""
+    arguments = [
+        DeclareLaunchArgument(
+            name, default_value=None if name == 'bag' else default, description=doc
+        )
+        for name, (default, doc) in REPLAY_ARGUMENTS.items()
+    ]
+    return LaunchDescription([*arguments, OpaqueFunction(function=nodes)])
