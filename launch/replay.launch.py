@@ -6,7 +6,7 @@ Arguments: ros2 launch shepherd_ros replay.launch.py --show-args
 
 from launch import LaunchContext, LaunchDescription
 from launch.action import Action
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown, TimerAction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from shepherd_ros.bags.reader import open_bag
@@ -19,16 +19,15 @@ def nodes(context: LaunchContext) -> list[Action]:
     """Return the nodes that the arguments ask for."""
     given = {name: LaunchConfiguration(name).perform(context) for name in REPLAY_ARGUMENTS}
     values = replay_values(given, list(open_bag(given['bag']).topics))
-    actions: list[Action] = [
-        Node(
-            package='shepherd_ros',
-            executable='player',
-            arguments=values.player,
-            remappings=values.remaps,
-            output='screen',
-            on_exit=Shutdown(),
-        )
-    ]
+    player = Node(
+        package='shepherd_ros',
+        executable='player',
+        arguments=values.player,
+        remappings=values.remaps,
+        output='screen',
+        on_exit=Shutdown(),
+    )
+    actions: list[Action] = [TimerAction(period=values.delay, actions=[player])]
     if values.controller:
         actions.append(
             Node(

@@ -111,11 +111,11 @@ REPLAY_ARGUMENTS: dict[str, tuple[str, str]] = {
     'rate': ('1.0', 'pace; 2.0 is twice as fast'),
     'loop': ('false', 'begin anew at the end: true or false'),
     'controller': ('', 'controller that answers instead of the recorded one; empty: none does'),
+    'delay': ('5.0', 'seconds that the controller gets to start before the bag is played'),
     'params_file': ('', 'YAML file with parameters of the controller'),
     'namespace': ('', 'namespace of all topics; empty: that of the recording'),
     'rviz': ('false', 'also start RViz: true or false'),
 }
-READERS = 5.0  # [s] that a controller gets to start before the bag is played
 
 
 @dataclass(frozen=True)
@@ -124,6 +124,7 @@ class ReplayValues:
 
     player: list[str]  # words of its command line
     remaps: list[tuple[str, str]]  # of the player
+    delay: float  # [s] before the player is started
     controller: str
     n_shepherds: int
     params_file: str
@@ -144,15 +145,18 @@ def replay_values(given: dict[str, str], topics: list[str]) -> ReplayValues:
         for name in topics
         if space and name.startswith(f'{recorded}/') and name not in ('/clock', '/diagnostics')
     ]
-    rate = _number('rate', given['rate'], float, REPLAY_ARGUMENTS['rate'][0])
+    rate, delay = (
+        _number(name, given[name], float, REPLAY_ARGUMENTS[name][0]) for name in ('rate', 'delay')
+    )
     words = [given['bag'], '--rate', str(rate)]
     words += ['--loop'] if _truth('loop', given['loop']) else []
     commands = [name for name in topics if name.endswith('/cmd_vel')]
     if given['controller']:
-        words += ['--wait', str(READERS), '--topics', *(n for n in topics if n not in commands)]
+        words += ['--topics', *(name for name in topics if name not in commands)]
     return ReplayValues(
         player=words,
         remaps=remaps,
+        delay=delay if given['controller'] else 0.0,
         controller=given['controller'],
         n_shepherds=len(commands),
         params_file=given['params_file'],

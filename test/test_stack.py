@@ -103,6 +103,7 @@ def test_a_bag_is_played_as_a_whole_unless_a_controller_answers() -> None:
     words = replayed(controller='pierson').player
     played = words[words.index('--topics') + 1 :]
     assert played == [name for name in RECORDED if name != '/shepherd_0/cmd_vel']
+    assert (replayed().delay, replayed(controller='pierson', delay='3').delay) == (0.0, 3.0)
 
 
 def test_the_player_takes_the_words_of_the_launch_file() -> None:
@@ -110,7 +111,7 @@ def test_the_player_takes_the_words_of_the_launch_file() -> None:
     options = pytest.importorskip('shepherd_ros.nodes.player_node').PlayerOptions
     words = replayed(controller='pierson', rate='2', loop='true').player
     parsed = tyro.cli(options, args=words)
-    assert (parsed.bag, parsed.rate, parsed.loop, parsed.wait) == (Path('b'), 2.0, True, 5.0)
+    assert (parsed.bag, parsed.rate, parsed.loop) == (Path('b'), 2.0, True)
     assert parsed.topics == ('/clock', '/episode', '/flock/poses', '/shepherd_0/scan/goal')
 
 
@@ -130,6 +131,7 @@ def test_a_namespace_takes_the_place_of_the_recorded_one() -> None:
     ('given', 'message'),
     [
         ({'rate': 'fast'}, "rate is 'fast': expected float, such as 1.0"),
+        ({'delay': ''}, "delay is '': expected float, such as 5.0"),
         ({'loop': 'yes'}, "loop is 'yes': expected true or false"),
         ({'rviz': '1'}, "rviz is '1': expected true or false"),
     ],
