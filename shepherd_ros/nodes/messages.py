@@ -58,7 +58,7 @@ def _poses_of(message: PoseArray) -> tuple[int, str, Tensor, Tensor]:
 def _plane(poses: np.ndarray) -> tuple[Tensor, Tensor]:
     """Return position and heading in the plane of poses (K, 7), in float32."""
     heading = np.empty((len(poses), 2), np.float32)
-    x, y, z, w = poses[:, 3:].T
+    x, y, z, w = np.ascontiguousarray(poses[:, 3:].T)
     heading[:, 0] = 1 - 2 * (y * y + z * z)
     heading[:, 1] = 2 * (w * z + x * y)
     return torch.from_numpy(poses[:, :2].astype(np.float32)), torch.from_numpy(heading)

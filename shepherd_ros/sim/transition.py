@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from shepherd_ros.sim.flocking import model_of
+from shepherd_ros.sim.kernels import shepherds as compiled
+from shepherd_ros.sim.kernels import usable as compilable
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import clip_norm
 from shepherd_ros.sim.world import WorldConfig
@@ -17,6 +19,15 @@ def usable(command: Tensor) -> Tensor:
     return command.isfinite().all(dim=-1)
 
 
+def move(state: WorldState, command: Tensor, config: WorldConfig) -> Tensor:
+    """Return where the shepherds are dt later, (..., H, 2) m."""
+    if compilable(state.shepherds, command) and command.shape == state.shepherds.shape:
+        return compiled.move(state, command, config.shepherd_speed, config.dt)
+    obeyed = (usable(command) & state.shepherd_mask)[..., None]
+    velocity = clip_norm(torch.where(obeyed, command, 0.0), config.shepherd_speed)
+    return state.shepherds + velocity * config.dt
+
+
 def step(state: WorldState, command: Tensor, config: WorldConfig) -> WorldState:
     """
     Return the world dt later: the shepherds move first, then all sheep at once.
@@ -25,9 +36,7 @@ def step(state: WorldState, command: Tensor, config: WorldConfig) -> WorldState:
     infinite part counts as zero. Shepherds are holonomic points, the plane has no walls (paper,
     section 3).
     """
-    obeyed = (usable(command) & state.shepherd_mask)[..., None]
-    velocity = clip_norm(torch.where(obeyed, command, 0.0), config.shepherd_speed)
-    moved = replace(state, shepherds=state.shepherds + velocity * config.dt)
+    moved = replace(state, shepherds=move(state, command, config))
     sheep, heading = model_of(config.flock).step(moved, config.flock, config.dt)
     present = state.sheep_mask[..., None]
     return replace(

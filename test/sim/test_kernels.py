@@ -11,7 +11,7 @@ from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.lidar import LidarConfig, scan
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
-from shepherd_ros.sim.transition import step
+from shepherd_ros.sim.transition import move, step
 from shepherd_ros.sim.world import SpawnConfig, WorldConfig
 import torch
 
@@ -122,3 +122,13 @@ def test_the_farthest_sheep_are_found_however_wide_the_flock_is(monkeypatch, sca
     law = model_of(flock).step
     fast, plain = both(monkeypatch, lambda: law(state, flock, config.dt))
     torch.testing.assert_close(fast, plain, atol=1e-4, rtol=1e-6)
+
+
+@pytest.mark.parametrize('odd', [torch.nan, torch.inf, 1e30, 3e38, 1e-30, 0.0])
+def test_compiled_shepherds_move_as_the_plain_ones_do(monkeypatch, odd: float) -> None:
+    config, state = worlds(StrombomFlock(), 2, batch=8)
+    command = torch.linspace(-3.0, 3.0, state.shepherds.numel()).reshape(state.shepherds.shape)
+    command[::2, 0, 1] = odd
+    fast, plain = both(monkeypatch, lambda: move(state, command, config))
+    torch.testing.assert_close(fast, plain, atol=1e-6, rtol=1e-6)
+    assert fast.isfinite().all()

@@ -34,7 +34,9 @@ def usable(*tensors: Tensor) -> bool:
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return the function compiled at its first call, kept on disk; itself without numba."""
-    return function if njit is None else njit(cache=True, nogil=True)(function)
+    if njit is None:
+        return function
+    return njit(cache=True, nogil=True, error_model='numpy')(function)  # x / 0 as in torch
 
 
 def flat(tensor: Tensor, keep: int) -> np.ndarray:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from shepherd_ros.sim.kernels import compiled, flat
 from shepherd_ros.sim.kernels.noise import direction_at, key_of, uniform_at
-from shepherd_ros.sim.kernels.vectors import unit
+from shepherd_ros.sim.kernels.vectors import length, unit
 from shepherd_ros.sim.noise import Stream
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import EPSILON
@@ -43,14 +43,13 @@ def _sum_of_farthest(i, sheep, near, order, out, slack, keep, best, index):
     """
     Return the sum of near (N, 2) over the keep sheep farthest from sheep i.
 
-    order (P,) is who is present, from the rim of the flock inward, and out (P,) [m] how far out:
-    nobody is farther from i than both are out together, so the search ends early.
+    order is who is present, far to near, and out [m] how far from the center: nobody is farther
+    from i than both are out together, so the search ends early.
     """
-    own = out[i]
     found = 0
     for j in order:
         if found == keep:
-            farthest = own + out[j] + slack
+            farthest = out[i] + out[j] + slack
             if farthest * farthest < best[keep - 1]:
                 break
         if j == i:
@@ -96,15 +95,19 @@ def _sum_of_nearest(i, sheep, near, mask, keep, best, index):
 
 
 @compiled
-def _from_the_rim(near, mask, sum_x, sum_y, count, out):
-    """Write how far from the center each sheep is, (N,) m; return the present, farthest first."""
-    x, y = sum_x / np.float32(count), sum_y / np.float32(count)
-    key = np.empty(near.shape[0], np.float32)
+def _from_the_rim(near, mask, x, y, out, order):
+    """Write how far from x, y each sheep is into out (N,) m; return the present, far to near."""
+    count = 0
     for j in range(near.shape[0]):
-        dx, dy = near[j, 0] - x, near[j, 1] - y
-        out[j] = np.float32(math.sqrt(dx * dx + dy * dy))
-        key[j] = -out[j] if mask[j] else _ONE
-    return np.argsort(key)[:count]
+        out[j] = length(near[j, 0] - x, near[j, 1] - y)
+        if mask[j]:
+            k = count
+            while k > 0 and out[order[k - 1]] < out[j]:
+                order[k] = order[k - 1]
+                k -= 1
+            order[k] = j
+            count += 1
+    return order[:count]
 
 
 @compiled
@@ -114,14 +117,16 @@ def _strombom(
 ):  # fmt: skip
     n = sheep.shape[1]
     out, best = np.empty(n, np.float32), np.empty(n, np.float32)
-    index = np.empty(n, np.int64)
+    near = np.empty((n, 2), np.float32)
+    index, places = np.empty(n, np.int64), np.empty(n, np.int64)
     for b in range(sheep.shape[0]):
         turn, graze = key_of(seed[b], step[b], _TURN), key_of(seed[b], step[b], _GRAZE)
         others = -1
         sum_x, sum_y = _ZERO, _ZERO
         # relative to one sheep: means of far places would be rounded by more than sheep differ
-        near = sheep[b] - sheep[b, 0]
         for j in range(n):
+            near[j, 0] = sheep[b, j, 0] - sheep[b, 0, 0]
+            near[j, 1] = sheep[b, j, 1] - sheep[b, 0, 1]
             if mask[b, j]:
                 others += 1
                 sum_x += near[j, 0]
@@ -129,9 +134,10 @@ def _strombom(
         far = others - n_neighbors
         count = min(others, n_neighbors)
         few_far = 0 < far <= n_neighbors
-        order, slack = index, _ZERO
+        order, slack = places, _ZERO
         if few_far:
-            order = _from_the_rim(near, mask[b], sum_x, sum_y, others + 1, out)
+            size = np.float32(others + 1)
+            order = _from_the_rim(near, mask[b], sum_x / size, sum_y / size, out, places)
             slack = _SLACK * out[order[0]]
         for i in range(n):
             x, y = sheep[b, i, 0], sheep[b, i, 1]
@@ -253,9 +259,9 @@ def _reynolds(
                 force_y = w_s * apart_y + w_v * (sum_v / others - v) + w_c * (sum_y / others - y)
             away_x, away_y = _fear(x, y, shepherds[b], shepherd_mask[b], view, nearest, -1)
             force_x, force_y = force_x + w_f * away_x, force_y + w_f * away_y
-            length = np.float32(math.sqrt(force_x * force_x + force_y * force_y))
-            if length > limit:
-                scale = limit / max(length, _EPSILON)
+            size = length(force_x, force_y)
+            if size > limit:
+                scale = limit / max(size, _EPSILON)
                 force_x, force_y = force_x * scale, force_y * scale
             way_x, way_y = unit(u + force_x * dt, v + force_y * dt)
             if way_x == 0 and way_y == 0:

@@ -64,7 +64,10 @@ def _pierson(
         way = wrap(heading[b] + turn_rate * dt)
         new_heading[b] = way
 
-        team = np.float32(shepherd_mask[b].sum())
+        here = 0
+        for h in range(size):
+            here += shepherd_mask[b, h]
+        team = np.float32(here)
         share = min(max(speed / pace, weakest), strongest)
         radius = min(max(spread_factor * spread, min_radius), max_radius)
         rear, spacing = way + _PI, _ZERO
@@ -80,7 +83,7 @@ def _pierson(
             for h in range(size):
                 place[h] = (np.float32(h) - (team - _ONE) / _TWO) * spacing
         for h in range(size):
-            velocity[b, h] = _ZERO
+            velocity[b, h, 0], velocity[b, h, 1] = _ZERO, _ZERO
             if shepherd_mask[b, h]:
                 at = rear + place[h]
                 to_x = x + radius * np.float32(math.cos(at)) - shepherds[b, h, 0]

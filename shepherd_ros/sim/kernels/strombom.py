@@ -27,10 +27,13 @@ def _strombom_targets(
 ):  # fmt: skip
     """Write the place of each shepherd into target (H, 2), and who collects nothing into free."""
     team, place = shepherds.shape[0], np.empty(shepherds.shape[0], np.float32)
-    free[:] = shepherd_mask
-    target[:] = _ZERO
+    for h in range(team):
+        free[h] = shepherd_mask[h]
     for _ in range(min(team, sheep.shape[0])):
-        stray = np.argmax(distance)
+        stray = 0
+        for i in range(sheep.shape[0]):
+            if distance[i] > distance[stray]:
+                stray = i
         if not distance[stray] > together:
             break
         distance[stray] = -_ONE
@@ -82,11 +85,15 @@ def _strombom(
     for b in range(sheep.shape[0]):
         x, y, count = mean(sheep[b], sheep_mask[b])
         size = np.float32(count)
+        radius, here = _ZERO, 0
         for i in range(n):
             distance[i] = _ZERO
             if sheep_mask[b, i]:
                 distance[i] = length(sheep[b, i, 0] - x, sheep[b, i, 1] - y)
-        radius = distance.max() + margin
+                radius = max(radius, distance[i])
+        radius += margin
+        for h in range(team):
+            here += shepherd_mask[b, h]
         together, collect = r * np.float32(size ** (2 / 3)), r
         behind = r * np.float32(math.sqrt(size))
         if elfiqi:
@@ -94,7 +101,7 @@ def _strombom(
             behind = together + standoff
         spacing = wing_spacing
         if spacing == 0:
-            spacing = _PI / np.float32(2 * max(shepherd_mask[b].sum(), 1))
+            spacing = _PI / np.float32(2 * max(here, 1))
         rear = bearing(x - goal[b, 0], y - goal[b, 1])
         _strombom_targets(
             sheep[b], sheep_mask[b], shepherds[b], shepherd_mask[b], x, y, distance, rear,
@@ -102,7 +109,7 @@ def _strombom(
         )  # fmt: skip
         key = key_of(seed[b], step[b], _CONTROL)
         for h in range(team):
-            velocity[b, h] = _ZERO
+            velocity[b, h, 0], velocity[b, h, 1] = _ZERO, _ZERO
             nearest = _FAR
             for i in range(n):
                 dx, dy = shepherds[b, h, 0] - sheep[b, i, 0], shepherds[b, h, 1] - sheep[b, i, 1]

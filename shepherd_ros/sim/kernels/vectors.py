@@ -74,7 +74,7 @@ def take_places(around, spacing, mask, place):
             if mask[h]:
                 at = (np.float32((rank[h] + shift) % count) - middle) * spacing
                 way += abs(wrap(at - around[h]))
-        way = np.float32(np.rint(way * np.float32(1e4)))
+        way = np.float32(round(way * np.float32(1e4)))
         if way < least:
             least, best = way, shift
     for h in range(team):
