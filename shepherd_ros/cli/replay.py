@@ -114,8 +114,10 @@ class Replay:
     def _ask_node(self, asked: Chosen, result: Comparison) -> None:
         """Compare what the node says."""
         isolate(os.environ)
-        # rclpy reads the environment when it is imported
-        from shepherd_ros.nodes.questioner import questioning
+        try:  # now, as rclpy reads the environment when it is imported
+            from shepherd_ros.nodes.questioner import questioning
+        except ModuleNotFoundError as error:
+            raise UserError(f'{error}: install ROS 2, or use --without-ros') from None
 
         with (
             TemporaryDirectory() as logs,

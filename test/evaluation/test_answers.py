@@ -2,8 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+import os
 from pathlib import Path
 import re
+import sys
 
 from bags.tiny import Sent, without, write
 import numpy as np
@@ -195,6 +197,15 @@ def test_headings_come_back_from_their_directions() -> None:
     assert np.array_equal(exact_heading(read), heading)
     rounded = (read.astype(np.float32) != heading).any(axis=1)
     assert rounded.mean() > 0.1  # which is why it takes more than rounding
+
+
+def test_without_ros_installed_the_other_way_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(os, 'environ', dict(os.environ))
+    monkeypatch.setitem(sys.modules, 'shepherd_ros.nodes.questioner', None)
+    assert main(['replay', str(recorded(tmp_path, 'idle')), '--controller', 'idle']) == 2
+    assert 'install ROS 2, or use --without-ros' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
