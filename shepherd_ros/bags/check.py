@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
+import json
 
 from shepherd_ros.bags.contract import CHANNELS, contract_hash, known, known_text
 from shepherd_ros.bags.errors import BagError
@@ -18,7 +19,7 @@ from shepherd_ros.bags.grouping import (
     State,
 )
 from shepherd_ros.bags.reader import Bag
-from shepherd_ros.bags.writer import CONTRACT_KEY
+from shepherd_ros.bags.writer import CONTRACT_KEY, LOST_KEY
 from shepherd_ros.config import unknown_name
 
 PARTS = ('scans', 'commands')
@@ -30,7 +31,8 @@ class Finding:
     """
     Something that is not as it should be.
 
-    kind is one of gap, order, count, type, schema, contract, metadata, stray, absent, damage.
+    kind is one of gap, order, count, type, schema, contract, metadata, stray, absent, damage,
+    lost.
     """
 
     kind: str
@@ -124,8 +126,19 @@ def _identity(bag: Bag) -> Iterator[Finding]:
     theirs = bag.custom_data.get(CONTRACT_KEY)
     if theirs not in (None, contract_hash()):
         yield Finding('contract', f'{CONTRACT_KEY} is {theirs!r:.20}, ours {contract_hash()!r:.9}')
+    yield from _lost(bag.custom_data.get(LOST_KEY, '{}'))
     if bag.noted_count not in (None, bag.count):
         yield Finding('metadata', f'{bag.noted_count} messages are noted, {bag.count} are there')
+
+
+def _lost(text: str) -> Iterator[Finding]:
+    """Yield what a recorder says that it missed."""
+    try:
+        for topic, count in json.loads(text).items():
+            what = f'{int(count)} messages did not reach the recorder'
+            yield Finding('lost', what, topic=str(topic))
+    except (AttributeError, TypeError, ValueError, RecursionError):
+        yield Finding('metadata', f'{LOST_KEY} is {text!r:.40}, expected numbers by topic')
 
 
 def _check_namespace(

@@ -25,7 +25,7 @@ from shepherd_ros.bags.check import check_bag, CheckResult
 from shepherd_ros.bags.contract import contract_hash
 from shepherd_ros.bags.decode import decode_string
 from shepherd_ros.bags.reader import open_bag
-from shepherd_ros.bags.writer import BagWriter
+from shepherd_ros.bags.writer import BagWriter, LOST_KEY
 from shepherd_ros.config import ConfigError
 
 MESSAGES = recording()[0]
@@ -94,6 +94,25 @@ def test_an_episode_that_is_told_again_is_the_same(tmp_path: Path) -> None:
         result = check(tmp_path / f'bag_{place}', told)
         assert result.ok, result.text()
         assert (result.episodes, result.unfinished) == (2, [])
+
+
+@pytest.mark.parametrize(
+    ('text', 'expected'),
+    [
+        ('{}', []),
+        ('{"/a": 2, "/b": 1}', ['lost: /a: 2 messages', 'lost: /b: 1 messages']),
+        ('[3]', ["metadata: shepherd_ros.lost is '[3]', expected numbers by topic"]),
+        ('{"/a": "x"}', ['metadata: shepherd_ros.lost is']),
+    ],
+)
+def test_what_the_recorder_missed_is_a_finding(
+    tmp_path: Path, text: str, expected: list[str]
+) -> None:
+    folder = write(tmp_path / 'bag', MESSAGES, custom_data={LOST_KEY: text})
+    findings = check_bag(open_bag(folder)).findings
+    assert len(findings) == len(expected)
+    for finding, words in zip(findings, expected, strict=True):
+        assert str(finding).startswith(words)
 
 
 def test_an_episode_that_was_begun_anew_is_unfinished(tmp_path: Path) -> None:

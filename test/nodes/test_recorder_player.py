@@ -4,19 +4,37 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+import json
 from pathlib import Path
 import re
+import resource
 from signal import SIGCONT, SIGKILL, SIGSTOP
 import time
 from typing import Any
 
-from bags.tiny import cdr, LOG_START_NS, make, recording, scan_of, Sent, tiny_bag, write
-from geometry_msgs.msg import PoseArray
+from bags.tiny import (
+    cdr,
+    LOG_START_NS,
+    make,
+    pose,
+    poses,
+    recording,
+    scan_of,
+    Sent,
+    tiny_bag,
+    write,
+)
+from bags.tiny import twist as tiny_twist
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseArray, PoseStamped, Twist
 from hypothesis import given
 from hypothesis import strategies as st
-from nodes.process import BEST_EFFORT, Graph, LATCHED, Process, RELIABLE, rollout
+from mcap.exceptions import EndOfFile
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+from nodes.process import BEST_EFFORT, Graph, LATCHED, Process, RELIABLE, rollout, until
 import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParameters
@@ -24,12 +42,21 @@ from rclpy.parameter import Parameter
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import LaserScan
+from shepherd_ros import __version__
 from shepherd_ros.bags.check import check_bag
+from shepherd_ros.bags.contract import contract_hash
+from shepherd_ros.bags.decode import decode_string
 from shepherd_ros.bags.diff import diff_bags
 from shepherd_ros.bags.episodes import iter_episodes
 from shepherd_ros.bags.qos import Qos
 from shepherd_ros.bags.reader import Bag, open_bag
-from shepherd_ros.bags.writer import BagWriter
+from shepherd_ros.bags.writer import (
+    BagWriter,
+    CONTRACT_KEY,
+    EPISODE_KEY,
+    LOST_KEY,
+    VERSION_KEY,
+)
 from shepherd_ros.cli import main
 from shepherd_ros.nodes.losses import Losses
 from shepherd_ros.sim.env import EnvConfig
@@ -264,6 +291,95 @@ def test_every_topic_is_recorded_with_its_type(room: Graph, tmp_path: Path) -> N
             reader.deserialize(raw, connection.msgtype)
 
 
+def send_first(graph: Graph, topic: str, kind: Any, qos: Any, row: bytes) -> None:
+    """Publish one message as soon as somebody listens, and be gone."""
+    output = graph.node.create_publisher(kind, topic, qos)
+    until(output.get_subscription_count, f'a reader of {topic}', step=lambda: None)
+    output.publish(row)
+    output.wait_for_all_acked()
+    graph.node.destroy_publisher(output)
+
+
+def test_the_first_message_of_every_topic_is_there(room: Graph, tmp_path: Path) -> None:
+    recorder = start_recorder(room, tmp_path / 'bag', '-x', '/diagnostics')
+    text = next(m.data for m in recording()[0] if m.topic == '/episode')  # of two shepherds
+    goal = pose(1, 2.0, 3.0)
+    command = cdr(tiny_twist(1.0, 2.0))
+    sent = [
+        ('/goal_pose', PoseStamped, RELIABLE, goal),
+        ('/metrics/flock_spread', Float64, RELIABLE, cdr(make('Float64', data=1.0))),
+        ('/episode', String, LATCHED, text),
+        ('/shepherd_1/scan/goal', LaserScan, RELIABLE, scan_of(3, np.ones(8))),
+        # as the contract does not have it
+        ('/goal', PoseStamped, RELIABLE, goal),  # not latched
+        ('/shepherd_0/cmd_vel', Twist, RELIABLE, command),
+        ('/farm/episode', String, LATCHED, text),
+        ('/farm/shepherds/poses', PoseArray, RELIABLE, poses(1, np.ones((2, 2)), np.ones((2, 2)))),
+    ]
+    for topic, kind, qos, row in sent:
+        send_first(room, topic, kind, qos, row)
+        room.idle(0.3)
+    assert recorder.stop() == 0, recorder
+    kept = [(m.topic, m.data.rstrip(b'\0')) for m in open_bag(tmp_path / 'bag').messages()]
+    assert kept == [(topic, row.rstrip(b'\0')) for topic, _, _, row in sent]  # without padding
+
+
+def test_a_topic_gets_a_second_publisher_that_offers_less(room: Graph, tmp_path: Path) -> None:
+    recorder = start_recorder(room, tmp_path / 'bag', '--topics', '/n')
+    first = room.publisher('/n', Float64)
+    until_recorded(room, recorder, '/n')
+    first.publish(Float64(data=1.0))
+    first.wait_for_all_acked()
+    second = room.publisher('/n', Float64, BEST_EFFORT)
+    room.until(lambda: first.get_subscription_count(), 'the recorder')
+    for output in (first, second):
+        output.publish(Float64(data=2.0))
+        room.idle(0.2)
+    assert recorder.stop() == 0, recorder
+    for output in (first, second):
+        room.node.destroy_publisher(output)
+    kept = [np.frombuffer(m.data[4:12], '<f8')[0] for m in open_bag(tmp_path / 'bag').messages()]
+    assert kept == [1.0, 2.0, 2.0]
+
+
+def test_two_types_on_one_topic_are_refused(room: Graph, tmp_path: Path) -> None:
+    recorder = start_recorder(room, tmp_path / 'bag', '--topics', '/n')
+    first = room.publisher('/n', Float64)
+    until_recorded(room, recorder, '/n')
+    other = Graph(room.domain, tmp_path)  # one process cannot have both
+    _ = other.node.create_publisher(Int32, '/n', RELIABLE)
+    what = (
+        '/n is not recorded: it has the types std_msgs/msg/Float64, std_msgs/msg/Int32, expected'
+    )
+    room.until_says(recorder, what)
+    other.close()
+    first.publish(Float64(data=1.0))
+    first.wait_for_all_acked()
+    assert recorder.stop() == 1, recorder
+    room.node.destroy_publisher(first)
+    assert f'failed: {what}' in recorder.text
+    assert open_bag(tmp_path / 'bag').count == 1
+
+
+def test_log_times_are_those_of_the_simulated_clock(room: Graph, tmp_path: Path) -> None:
+    words = ['--topics', '/n', '/clock', '--use-sim-time']
+    recorder = start_recorder(room, tmp_path / 'bag', *words)
+    clock, output = room.publisher('/clock', Clock), room.publisher('/n', Float64)
+    for second in (3, 4, 9):
+        for publisher, row in (
+            (clock, cdr(make('Clock', clock=make('Time', sec=second, nanosec=5)))),
+            (output, cdr(make('Float64', data=1.0))),
+        ):
+            publisher.publish(row)
+            publisher.wait_for_all_acked()
+    assert recorder.stop() == 0, recorder
+    for publisher in (clock, output):
+        room.node.destroy_publisher(publisher)
+    bag = open_bag(tmp_path / 'bag')
+    assert [m.log_ns for m in bag.messages({'/n'})] == [k * 10**9 + 5 for k in (3, 4, 9)]
+    assert [m.log_ns for m in bag.messages({'/clock'})] == [k * 10**9 + 5 for k in (3, 4, 9)]
+
+
 def test_stop_and_start(room: Graph, tmp_path: Path) -> None:
     recorder = start_recorder(room, tmp_path / 'bag', '--topics', '/n', '--start-paused')
     output = room.publisher('/n', Float64)
@@ -313,23 +429,87 @@ def test_a_recorder_refuses_what_cannot_be(
     assert not places['new'].exists()
 
 
-def test_a_killed_recorder_leaves_a_prefix(
-    room: Graph, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize('seconds', [0.1, 0.7, 1.3])
+def test_a_killed_recorder_leaves_all_that_it_has_put_on_the_disk(
+    room: Graph, tmp_path: Path, capsys: pytest.CaptureFixture[str], seconds: float
 ) -> None:
     recorder = start_recorder(room, tmp_path / 'bag', '--topics', '/scan')
     output = room.publisher('/scan', LaserScan)
-    rows = [scan_of(k, np.full(512, k, np.float32)) for k in range(600)]
+    rows = [scan_of(k, np.full(512, k, np.float32)) for k in range(round(2000 * seconds))]
     flood(room, output, rows, 2000.0)
-    output.wait_for_all_acked()
+    room.until((tmp_path / 'bag').exists, 'a bag')
     recorder.send(SIGKILL)
     assert recorder.wait() == -SIGKILL
     room.node.destroy_publisher(output)
+    status = room.status('recorder: recorder')
+    values = {value.key: int(value.value) for value in status.values[1:3]} if status else {}
     assert main(['bag', 'info', str(tmp_path / 'bag')]) == 2
     assert 'shepherd bag recover' in capsys.readouterr().err
     assert main(['bag', 'recover', str(tmp_path / 'bag')]) == 0
     kept = [message.data for message in open_bag(tmp_path / 'bag_recovered').messages()]
-    assert 300 < len(kept) <= len(rows)
     assert kept == rows[: len(kept)]
+    assert len(kept) >= values.get('on_disk', 0)
+    with (tmp_path / 'bag' / 'bag_0.mcap').open('rb') as stream, suppress(EndOfFile):
+        whole = 0  # that another reader finds
+        for record in StreamReader(stream).records:
+            whole += isinstance(record, Message)
+    assert len(kept) >= whole
+    with AnyReader([tmp_path / 'bag_recovered']) as reader:
+        assert reader.message_count == sum(1 for _ in reader.messages()) == len(kept)
+
+
+def test_a_disk_that_is_full_ends_the_recorder_with_a_word(room: Graph, tmp_path: Path) -> None:
+    recorder = start_recorder(room, tmp_path / 'bag')
+    room.until_status('recorder: recorder', 'recording')
+    resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (600_000, 600_000))
+    output = room.publisher('/shepherd_0/scan/sheep', LaserScan)
+    rows = [scan_of(k, np.full(512, k, np.float32)) for k in range(1000)]
+    flood(room, output, rows, 2000.0)
+    assert recorder.wait() == 1, recorder
+    room.node.destroy_publisher(output)
+    bag = open_bag(tmp_path / 'bag')
+    said = f'failed: {tmp_path}/bag: it cannot be written (File too large); {bag.count} messages '
+    assert said in recorder.text
+    assert 'free space or choose another place' in recorder.text
+    assert 'Traceback' not in recorder.text
+    status = room.until_status('recorder: recorder', 'cannot be written')
+    assert status.level == DiagnosticStatus.ERROR
+    kept = [message.data for message in bag.messages({'/shepherd_0/scan/sheep'})]
+    assert kept == rows[: len(kept)]
+    assert 100 < len(kept) < 300
+    with AnyReader([tmp_path / 'bag']) as reader:
+        assert reader.message_count == sum(1 for _ in reader.messages()) == bag.count
+
+
+def test_a_bag_says_what_made_it(whole: Run) -> None:
+    data = whole.bag.custom_data
+    assert data[VERSION_KEY] == __version__
+    assert data[CONTRACT_KEY] == contract_hash()
+    first = next(whole.bag.messages({'/episode'}))
+    assert data[EPISODE_KEY] == decode_string(first.data)
+    assert data[LOST_KEY] == '{}'
+
+
+def test_diagnostics_say_how_fast_it_goes(room: Graph, tmp_path: Path) -> None:
+    recorder = start_recorder(room, tmp_path / 'bag', '--topics', '/scan')
+    output = room.publisher('/scan', LaserScan)
+    flood(room, output, [scan_of(k, np.ones(8, np.float32)) for k in range(300)], 300.0)
+    output.wait_for_all_acked()
+    shown: list[dict[str, str]] = []
+
+    def all_there() -> bool:
+        status = room.status('recorder: recorder')
+        if status is not None:
+            shown.append({value.key: value.value for value in status.values})
+        return bool(shown) and shown[-1]['on_disk'] == '300'
+
+    room.until(all_there, 'everything is on the disk')
+    assert recorder.stop() == 0, recorder
+    room.node.destroy_publisher(output)
+    assert max(float(values['rate']) for values in shown) > 0
+    last = shown[-1]
+    assert (last['messages'], last['topics'], last['lost']) == ('300', '1', '0')
+    assert last['bag'] == str(tmp_path / 'bag')
 
 
 # ---- losses ----
@@ -438,18 +618,68 @@ def test_two_publishers_of_one_topic_are_no_loss(room: Graph, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize('qos', [RELIABLE, BEST_EFFORT], ids=['reliable', 'best effort'])
-def test_two_thousand_scans_per_second_are_all_there(
+def test_four_thousand_scans_per_second_are_there_or_told_as_lost(
     room: Graph, tmp_path: Path, qos: Any
 ) -> None:
     recorder = start_recorder(room, tmp_path / 'bag', '--topics', '/scan')
     output = room.publisher('/scan', LaserScan, qos)
-    rows = [scan_of(k, np.full(512, k, np.float32)) for k in range(2000)]
-    flood(room, output, rows, 2000.0)
+    rows = [scan_of(k, np.full(512, k, np.float32)) for k in range(4000)]
+    flood(room, output, rows, 4000.0)
     output.wait_for_all_acked()
     room.idle(0.2)
-    assert recorder.stop() == 0, recorder
+    code = recorder.stop()
     room.node.destroy_publisher(output)
-    assert [message.data for message in open_bag(tmp_path / 'bag').messages()] == rows
+    bag = open_bag(tmp_path / 'bag')
+    lost = json.loads(bag.custom_data[LOST_KEY])
+    assert code == bool(lost), recorder
+    assert lost == ({'/scan': len(rows) - bag.count} if lost else {})
+    kept = [message.data for message in bag.messages()]
+    assert set(kept) <= set(rows)
+    assert kept == sorted(kept, key=rows.index)
+    if qos is RELIABLE:
+        assert kept == rows, recorder
+
+
+def test_what_is_lost_is_told_everywhere(room: Graph, tmp_path: Path) -> None:
+    """Two publishers of one topic send more than a recorder that is held up can keep."""
+    recorder = start_recorder(room, tmp_path / 'bag', '-x', '/diagnostics')
+    outputs = [room.publisher('/flock/poses', PoseArray, BEST_EFFORT) for _ in range(2)]
+    until_recorded(room, recorder, '/flock/poses')
+    row = poses(1, np.ones((9, 2)), np.ones((9, 2)))
+
+    def send(count: int) -> None:
+        for _ in range(count):
+            for output in outputs:
+                output.publish(row)
+        room.idle(0.3)
+
+    send(3)
+    recorder.send(SIGSTOP)
+    send(8000)
+    recorder.send(SIGCONT)
+    room.idle(0.5)
+    send(3)
+    values: dict[str, str] = {}
+
+    def all_taken() -> bool:
+        status = room.status('recorder: recorder')
+        if status is not None:
+            values.update({value.key: value.value for value in status.values})
+        return values.get('lost', '0') != '0' and values['rate'] == '0.0'
+
+    room.until(all_taken, 'losses on /diagnostics')
+    status = room.until_status('recorder: recorder', f'{values["lost"]} messages were lost')
+    assert recorder.stop() == 1, recorder
+    for output in outputs:
+        room.node.destroy_publisher(output)
+    bag = open_bag(tmp_path / 'bag')
+    lost = 2 * (3 + 8000 + 3) - bag.topics['/flock/poses'].count
+    assert lost > 0
+    assert status.level == DiagnosticStatus.WARN
+    assert values['lost'] == values['lost /flock/poses'] == str(lost)
+    assert json.loads(bag.custom_data[LOST_KEY]) == {'/flock/poses': lost}
+    assert f'lost: /flock/poses: {lost} missing in the numbering' in recorder.text
+    assert f'lost: /flock/poses: {lost} messages' in check_bag(bag).text()
 
 
 # ---- the player ----
