@@ -2,15 +2,15 @@
 """
 Kill -9 a live recorder at random moments and see what is left of its bag.
 
-The stack runs in lockstep, and two recorders listen: one is killed, the other is not and knows
-what there was. What is recovered has to be all of that from the beginning of each topic on, at
-least as much as lies on the disk in whole chunks, equal for every reader; and the check has to say
-that the episode is unfinished.
+The stack runs, and two recorders listen: one is killed, the other is not and knows what there was.
+What is recovered has to be a part without gaps of each topic, at least as much as lies on the disk
+in whole chunks, equal for every reader; and the check has to say that the episode is unfinished.
 """
 
 import argparse
 from collections import defaultdict
-from contextlib import suppress
+from contextlib import ExitStack, suppress
+import json
 import os
 from pathlib import Path
 import random
@@ -28,8 +28,18 @@ from rosbags.highlevel import AnyReader
 from shepherd_ros.bags.check import check_bag
 from shepherd_ros.bags.reader import Bag, open_bag
 from shepherd_ros.bags.recover import recover
+from shepherd_ros.bags.writer import LOST_KEY
 from shepherd_ros.cli.processes import isolate, running
 from shepherd_ros.stack import herding_stack
+
+WORDS = ('-x', 'diagnostics|markers')  # several publish them, in an order of each recorder
+
+
+def until_there(folder: Path) -> None:
+    """Wait until a bag is begun."""
+    deadline = time.monotonic() + 20
+    while not folder.exists() and time.monotonic() < deadline:
+        time.sleep(0.01)
 
 
 def by_topic(bag: Bag) -> dict[str, list[bytes]]:
@@ -58,25 +68,27 @@ def is_part(part: list[bytes], whole: list[bytes]) -> bool:
 def kill_once(root: Path, seconds: float) -> str:
     """Kill a recorder after some seconds of recording; return a row of the table."""
     torn, whole = root / 'torn', root / 'whole'
-    with recorder(whole) as witness, recorder(torn) as victim:
-        deadline = time.monotonic() + 20
-        while not (torn.exists() and whole.exists()) and time.monotonic() < deadline:
-            time.sleep(0.01)
+    with ExitStack() as stack, recorder(whole, *WORDS) as witness:
+        until_there(whole)
+        time.sleep(1.0)  # it hears all that the other one will
+        victim = stack.enter_context(recorder(torn, *WORDS))
+        until_there(torn)
         time.sleep(seconds)
         victim.send_signal(signal.SIGKILL)
         victim.wait()
         killed_ns = time.time_ns()
         time.sleep(0.3)
         witness.send_signal(signal.SIGINT)
-        output, _ = witness.communicate(timeout=60)
-        assert witness.returncode == 0, output
+        witness.communicate(timeout=60)
     flushed = on_disk(torn / 'torn_0.mcap')
     result = recover(torn)
     bag = open_bag(result.folder)
     assert result.messages == bag.count >= flushed, (result, flushed)
     truth = by_topic(open_bag(whole))
+    lost = json.loads(open_bag(whole).custom_data[LOST_KEY])
     for topic, rows in by_topic(bag).items():
-        assert is_part(rows, truth[topic]), f'{topic}: not what was sent'
+        alike = topic in lost or is_part(rows, truth[topic])
+        assert alike, f'{topic}: not what was sent'
     with AnyReader([result.folder]) as reader:
         theirs = sum(1 for _ in reader.messages())
     with next(result.folder.glob('*.mcap')).open('rb') as stream:
@@ -86,7 +98,7 @@ def kill_once(root: Path, seconds: float) -> str:
     check = check_bag(bag)
     assert check.unfinished, check.text()
     missing = (killed_ns - bag.end_ns) / 1e9
-    cells = [f'{seconds:.2f}', flushed, bag.count, f'{missing:.2f}', len(check.findings)]
+    cells = [f'{seconds:.2f}', flushed, bag.count, f'{missing:.2f}']
     return '| ' + ' | '.join(map(str, cells)) + ' |'
 
 
@@ -98,9 +110,17 @@ def main() -> None:
     options = parser.parse_args()
     isolate(os.environ)
     moments = random.Random(options.seed)
-    print('| killed after [s] | messages in whole chunks | recovered | missing at the end [s] |')
+    names = (
+        'killed after [s]',
+        'in whole chunks',
+        'recovered',
+        'missing at the end [s]',
+        'findings',
+    )
+    print('| ' + ' | '.join(names) + ' |\n|' + '--:|' * len(names))
     with tempfile.TemporaryDirectory() as folder, running(Path(folder, 'logs')) as stack:
-        stack.start([p for p in herding_stack() if p.executable != 'metrics'])
+        nodes = herding_stack(mode='realtime', rate=40.0)
+        stack.start([p for p in nodes if p.executable != 'metrics'])
         time.sleep(4.0)
         for k in range(options.times):
             root = Path(folder, str(k))

@@ -1,4 +1,9 @@
-"""Plain data as YAML: written as yaml-cpp does it for rosbag2, read with suspicion."""
+"""
+Plain data as YAML: written as yaml-cpp does it for rosbag2, read with suspicion.
+
+yaml.dump cannot write it word for word: entries of lists are not indented, texts that need quotes
+get single ones, and nothing is null instead of ~.
+"""
 
 from __future__ import annotations
 

@@ -2,7 +2,8 @@
 Records of an MCAP file as they lie on the disk, read with suspicion.
 
 Nothing is believed before it is checked against the size of the file, so that a damaged file
-ends in DamageError and never in a huge allocation.
+ends in DamageError and never in a huge allocation. The readers of the library mcap believe
+lengths of up to 4 GiB, stop at the first damage and do not tell where it is.
 """
 
 from __future__ import annotations
