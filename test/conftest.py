@@ -67,8 +67,9 @@ def own_domain() -> Iterator[int]:
 @contextmanager
 def own_graph(folder: Path) -> Iterator[Graph]:
     """Lend an empty graph; whatever a test starts in it has ended afterwards."""
-    from nodes.process import Graph
+    from nodes.process import compile_laws, Graph
 
+    compile_laws()
     with own_domain() as domain, pytest.MonkeyPatch.context() as patch:
         patch.setenv('ROS_DOMAIN_ID', str(domain))
         graph = Graph(domain, folder)

@@ -20,7 +20,7 @@ from shepherd_ros.nodes.parameters import declare
 from shepherd_ros.topics import contract
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-EXECUTORS = ('single', 'events')
+EXECUTORS = ('events', 'single')
 
 
 def message_type(name: str) -> Any:
@@ -51,7 +51,7 @@ class ShepherdNode(Node):
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.frame_id: str = self.option('frame_id', 'map', 'name of the world frame')
         self.executor_kind: str = self.option(
-            'executor', 'single', 'executor: single, or events (faster, experimental in Jazzy)',
+            'executor', 'events', 'executor: events (experimental in Jazzy), or single (slower)',
             choices=EXECUTORS,
         )  # fmt: skip
         self._diagnostics = self.advertise('/diagnostics')

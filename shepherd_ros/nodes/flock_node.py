@@ -17,6 +17,7 @@ from shepherd_ros.nodes.parameters import declare
 from shepherd_ros.nodes.runtime import run
 from shepherd_ros.nodes.world_options import declare_world
 from shepherd_ros.nodes.world_output import WorldOutput
+from shepherd_ros.sim import kernels
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import step
@@ -48,6 +49,7 @@ class FlockSim(ShepherdNode):
 
     def __init__(self, **kwargs: Any) -> None:
         """Create the node and start the first episode."""
+        kernels.start()
         super().__init__('flock_sim', **kwargs)
         self.world = declare_world(self)
         self.seed: int = self.option(

@@ -14,6 +14,7 @@ from shepherd_ros.nodes.base import OK, ShepherdNode, WARN
 from shepherd_ros.nodes.listener import Listener
 from shepherd_ros.nodes.parameters import declare_config
 from shepherd_ros.nodes.runtime import run
+from shepherd_ros.sim import kernels
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.state import WorldState
 import torch
@@ -26,6 +27,7 @@ class HeuristicNode(ShepherdNode):
 
     def __init__(self, controller: str, **kwargs: Any) -> None:
         """Create the node of the controller with that name."""
+        kernels.start()
         super().__init__(controller, **kwargs)
         self.kind = controller_type(controller)
         self.options = declare_config(self, self.kind.config_type())

@@ -13,6 +13,7 @@ from shepherd_ros.nodes.listener import Listener
 from shepherd_ros.nodes.markers import ray_markers
 from shepherd_ros.nodes.parameters import declare_config
 from shepherd_ros.nodes.runtime import run
+from shepherd_ros.sim import kernels
 from shepherd_ros.sim.lidar import CHANNELS, LidarConfig, scan
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.state import WorldState
@@ -26,6 +27,7 @@ class LidarNode(ShepherdNode):
 
     def __init__(self, **kwargs: Any) -> None:
         """Create the node and its publishers."""
+        kernels.start()
         super().__init__('lidar', **kwargs)
         self.config = declare_config(self, LidarConfig())
         self.shepherd_ids: list[int] = self.option('shepherd_ids', [0], 'shepherds that carry it')

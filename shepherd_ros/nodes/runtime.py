@@ -27,7 +27,7 @@ LOOK = 0.1  # [s] after which a signal is seen at the latest
 
 
 def make_executor(kind: str, context: Any = None) -> Executor:
-    """Return an executor: single, or events (faster; experimental in Jazzy)."""
+    """Return an executor: events (experimental in Jazzy), or single (slower)."""
     if kind == 'events':
         from rclpy.experimental.events_executor import EventsExecutor
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 import ctypes
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import pairwise
 import json
 import multiprocessing as mp
@@ -42,6 +43,8 @@ from shepherd_ros.controllers import make_controller
 from shepherd_ros.nodes.base import nanoseconds, ShepherdNode, stamp
 from shepherd_ros.nodes.compose import NODES
 from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.flocking import FLOCK_MODELS
+from shepherd_ros.sim.presets import world_preset
 from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor
@@ -61,6 +64,17 @@ LATCHED = QoSProfile(
 
 FORKS = mp.get_context('forkserver')
 FORKS.set_forkserver_preload(['shepherd_ros.nodes.compose', 'rosgraph_msgs.msg'])
+
+
+@cache
+def compile_laws() -> None:
+    """Let numba compile what nodes compute, which takes a while the first time on a machine."""
+    for flock in FLOCK_MODELS:
+        env = ShepherdEnv(EnvConfig(world=world_preset('default', flock)), 1)
+        env.reset()
+        for name in ('strombom', 'pierson'):
+            law = make_controller(name, env.config.world)
+            env.step(law.act(env.perceived, law.begin(env.perceived))[0])
 
 
 def until(

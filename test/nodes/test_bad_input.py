@@ -25,7 +25,7 @@ REFUSED = {
     'unknown mode': ('flock_sim', '-p mode:=fast',
                      "mode is 'fast': expected one of lockstep, realtime"),
     'unknown executor': ('flock_sim', '-p executor:=multi',
-                         "executor is 'multi': expected one of single, events"),
+                         "executor is 'multi': expected one of events, single"),
     'negative sheep': ('flock_sim', '-p n_sheep:=-5', r'n_sheep is -5: expected .*\[1, 10000\]'),
     'no sheep': ('flock_sim', '-p n_sheep:=0', r'n_sheep is 0: expected a value in \[1, '),
     'no shepherds': ('flock_sim', '-p n_shepherds:=0', r'n_shepherds is 0: expected .*\[1, 100\]'),

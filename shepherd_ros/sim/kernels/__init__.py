@@ -39,6 +39,17 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     return njit(cache=True, nogil=True, error_model='numpy')(function)  # x / 0 as in torch
 
 
+@compiled
+def _start() -> int:
+    return 0
+
+
+def start() -> None:
+    """Start numba, which takes half a second that nobody shall wait for later."""
+    if AVAILABLE:
+        _start()
+
+
 def flat(tensor: Tensor, keep: int) -> np.ndarray:
     """Return a tensor as a contiguous array with its leading axes made one and the last kept."""
     array: np.ndarray = tensor.numpy()
