@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from shepherd_ros.controllers.base import Controller
     from shepherd_ros.sim.world import WorldConfig
 
-OF_NODES = ('executor', 'frame_id', 'shepherd_ids', 'stamped', 'use_sim_time')
+OF_NODES = ('executor', 'frame_id', 'shepherd_ids', 'stale_after', 'stamped', 'use_sim_time')
 
 
 @dataclass(frozen=True)

@@ -124,19 +124,29 @@ class Replay:
             running(Path(logs)) as processes,
             questioning() as questioner,
         ):
-            silent = False
+            silent: set[int] = set()
             for episode, frames, group in self._episodes(result):
                 if not processes.started:
-                    frame_id = {'frame_id': episode.config['frame_id']}
-                    processes.start([Process(asked.name, asked.name, frame_id | asked.parameters)])
+                    own = {'frame_id': episode.config['frame_id'], 'shepherd_ids': self._team()}
+                    processes.start([Process(asked.name, asked.name, own | asked.parameters)])
                 questioner.begin(episode)
                 for frame in frames:
-                    wanted = self.shepherds or range(episode.n_shepherds)
+                    wanted = set(self.shepherds or range(episode.n_shepherds)) - silent
                     over = all(command is None for command in frame.commands)
                     answers = {}
-                    if not (silent or (over and frame is frames[-1])):
-                        answers = questioner.ask(
-                            frame, group.states[frame.step].raw, wanted, processes.check
-                        )
-                        silent = not answers
+                    if wanted and not (over and frame is frames[-1]):
+                        raw = group.states[frame.step].raw
+                        answers = questioner.ask(frame, raw, wanted, processes.check)
+                        silent |= wanted - answers.keys()  # not waited for again
                     result.add(episode, frame, answers)
+
+    def _team(self) -> list[int]:
+        """Return the shepherds that the node shall command."""
+        from shepherd_ros.bags.episodes import one_namespace
+        from shepherd_ros.bags.grouping import announced
+        from shepherd_ros.bags.reader import open_bag
+
+        bag = open_bag(self.bag)
+        infos = announced(bag, one_namespace(bag, self.namespace))
+        most = max(info.n_shepherds for _, info in infos)
+        return sorted(self.shepherds) or list(range(most))

@@ -21,7 +21,7 @@ from shepherd_ros.nodes.runtime import make_executor
 
 RESEND = 0.25  # [s] after which an unanswered state is shown again, as flock_sim does
 LATCHED = 5.0  # [s] that readers get to take what is latched, before states follow
-PATIENCE = 30.0  # [s] that a controller may take for an answer, its start included
+PATIENCE = 60.0  # [s] that a controller may take for an answer, its start included
 
 
 class Questioner(ShepherdNode):

@@ -165,6 +165,19 @@ def test_node_and_law_differ_from_the_recording_in_the_same_way(
     assert shepherd('replay', pure, *words, '--without-ros') == (1, out, '')
 
 
+def test_a_shepherd_that_is_not_answered_for_is_missing(
+    pure: Path, monkeypatch: pytest.MonkeyPatch, shepherd: Callable[..., Said]
+) -> None:
+    monkeypatch.setattr(questioner, 'PATIENCE', 15.0)
+    words = ['--controller', 'pierson', '-p', f'noise_std:={NOISE}', 'shepherd_ids:=[1]']
+    code, out, _ = shepherd('replay', pure, *words)
+    assert code == 1
+    n = STEPS + 1
+    assert f'{n} commands of 1 episodes compared: {n} equal, 0 differ' in out
+    assert f'missing: {n} commands; episode 0, step 0, stamp 0.500000000 s, shepherd_0: ' in out
+    assert shepherd('replay', pure, *words, '--shepherds', '1')[0] == 0
+
+
 def script(folder: Path, text: str) -> str:
     """Write an executable; return its name."""
     path = folder / 'dog'
