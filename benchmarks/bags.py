@@ -7,6 +7,7 @@ was sent is in the bag or is told as lost.
 """
 
 import argparse
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 import json
@@ -31,7 +32,8 @@ KINDS = ('none', 'lz4', 'zstd')
 PUBLISHERS = 4
 TOPIC = '/load_{k}/shepherd_0/scan/sheep'  # a scan of the contract, in a namespace of its own
 SCAN = 'sensor_msgs/msg/LaserScan'
-LOST = re.compile(r'lost: (\S+): (?:at least )?(\d+)')
+LOST = re.compile(r'lost: (\S+): (\d+)')
+EARLIER = re.compile(r'first that was heard: (\S+): (\d+)')
 LATE = re.compile(r'late by ([\d.]+) ms \(p50\), ([\d.]+) ms \(p99\)')
 
 
@@ -150,12 +152,14 @@ def run(
 ) -> dict[str, Any]:
     """Record a load and compare what was sent, what is in the bag, and what was told."""
     reached, code, output, cpu = record(folder, load)
-    told = {topic: int(n) for topic, n in LOST.findall(output)}
+    told = Counter({topic: int(n) for topic, n in LOST.findall(output)})
+    told.update({topic: int(n) for topic, n in EARLIER.findall(output)})
     kept, missing = loaded(open_bag(folder), count)
-    silent = {topic: n - told.get(topic, 0) for topic, n in missing.items()}
+    silent = {topic: n - told[topic] for topic, n in missing.items()}
     row = {
         'run': what, 'wanted [1/s]': rate, 'reached [1/s]': round(reached),
-        'sent': PUBLISHERS * count, 'in the bag': kept, 'told as lost': sum(told.values()),
+        'sent': PUBLISHERS * count, 'in the bag': kept,
+        'told as missing': sum(told[topic] for topic in missing),
         'missing and not told': sum(silent.values()), 'exit code': code,
         'all messages': open_bag(folder).count, 'recorder CPU [s]': round(cpu, 1),
     }  # fmt: skip

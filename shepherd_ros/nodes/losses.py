@@ -85,6 +85,11 @@ class Losses:
         names = {*self.topics, *self.drops}
         return +Counter({n: max(self.topics[n].missing, self.drops[n]) for n in sorted(names)})
 
+    def earlier(self) -> Counter[str]:
+        """Return how many were sent before the first one heard: before the two ends met."""
+        items = self.topics.items()
+        return +Counter({name: sum(run[0] - 1 for run in n.runs) for name, n in sorted(items)})
+
     def report(self) -> list[str]:
         """Return a line for each topic with losses."""
         return [

@@ -204,6 +204,8 @@ class Recorder(ShepherdNode):
         print(f'{self.written} messages of {len(self.announced)} topics in {self.folder}')
         for line in lost:
             print(f'lost: {line}')
+        for name, count in self.losses.earlier().items():
+            print(f'sent before the first that was heard: {name}: {count}')
         if self.failure:
             print(f'failed: {self.failure}')
         whole = not lost and not self.failure

@@ -564,6 +564,14 @@ def test_never_more_is_told_than_was_lost(data: st.DataObject) -> None:
         assert told == gaps
 
 
+def test_what_was_sent_before_the_first_one_heard_is_no_loss_but_told() -> None:
+    losses = Losses(lambda topic: {b'one'})
+    for number in (4, 5, 1, 2):
+        losses.heard('/a', number)
+    losses.heard('/b', 1)
+    assert (losses.by_topic(), losses.earlier()) == ({}, {'/a': 3})
+
+
 def test_losses_are_told_by_topic() -> None:
     losses = Losses(lambda topic: {b'one'})
     for number in (1, 2, 5, None):
