@@ -27,10 +27,10 @@ Row = tuple[str, bytes, dict[str, int]]  # topic, message, times and number
 
 class Held(CallbackGroup):
     """
-    Subscriptions whose messages no executor takes, as it takes 100 us for each.
+    Subscriptions whose messages no executor takes: that would cost more than to write them.
 
-    Their events, by which DDS reports losses, make every round of an executor ten times as long:
-    it sees them only while the group is open.
+    Their events, by which DDS reports losses, make every round of an executor milliseconds long: it
+    sees them only while the group is open.
     """
 
     open = False

@@ -33,8 +33,8 @@ class Recorder(ShepherdNode):
     """
     Writes every message it gets.
 
-    Messages are taken in batches, many times a second: that costs a tenth of a callback for each,
-    and they go into the bag in the order in which they came, whatever their topics.
+    Messages are taken in batches, many times a second: that costs less than a callback for each, and
+    they go into the bag in the order in which they came, whatever their topics.
     """
 
     def __init__(self, options: RecorderOptions, **kwargs: Any) -> None:
