@@ -16,6 +16,8 @@ NODES = {
     'recorder': 'recorder_node:main',
     'strombom': 'heuristic_node:strombom',
     'pierson': 'heuristic_node:pierson',
+    'drover': 'heuristic_node:drover',
+    'policy': 'policy_node:main',
     'idle': 'heuristic_node:idle',
     'random': 'heuristic_node:random',
 }
@@ -57,6 +59,8 @@ setup(
         'pyyaml',
         'rich',
         'rosbags',
+        'safetensors',
+        'tensorboard',
         'torch',
         'tyro',
         'zstandard',

@@ -30,7 +30,7 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
     'stack': ({'config'}, set()),
     'sim': ({'config'}, {'torch'}),
     'sim/kernels': ({'config'}, {'numba', 'numpy', 'torch'}),
-    'policy': ({'config'}, {'safetensors', 'torch'}),
+    'policy': ({'config', 'share', 'sim'}, {'numpy', 'safetensors', 'torch'}),
     'controllers': ({'config', 'sim', 'policy'}, {'torch'}),
     'episode': ({'config', 'sim'}, set()),
     'bags': (
@@ -38,7 +38,7 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
         {'lz4', 'mcap', 'numpy', 'pyarrow', 'rosbags', 'yaml', 'zstandard'},
     ),
     'learning': (
-        {'config', 'sim', 'controllers', 'policy', 'bags'},
+        {'config', 'sim', 'controllers', 'policy', 'bags', 'evaluation'},
         {'numpy', 'tensorboard', 'torch'},
     ),
     'evaluation': (
@@ -70,8 +70,8 @@ GLOBAL_TOPICS = {'/clock', '/diagnostics', '/tf'}  # whose names ROS 2 fixes
 LONGEST_FILE, LONGEST_SCRIPT = 300, 39  # lines
 ROSDEP = {'PIL': 'python3-pil'}  # where the key of rosdep is not python3-<package>
 WITH_PIP = {  # not from rosdep
-    'imageio', 'lz4', 'mcap', 'numba', 'plotly', 'pyarrow', 'rosbags', 'torch', 'tyro',
-    'zstandard',
+    'imageio', 'lz4', 'mcap', 'numba', 'plotly', 'pyarrow', 'rosbags', 'safetensors', 'torch',
+    'tyro', 'zstandard',
 }  # fmt: skip
 PYPI = {'PIL': 'pillow', 'yaml': 'pyyaml'}  # where the distribution has another name
 

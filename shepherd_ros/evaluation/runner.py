@@ -20,18 +20,22 @@ def run_episodes(
     """
     Return the metrics of the episodes with seeds seed .. seed + episodes - 1, (episodes,) each.
 
+    `return` is the sum of the rewards of an episode.
+
     on_step(step) is called after each step of all worlds.
     """
     env = ShepherdEnv(config, episodes, lidar=False)
     env.reset(seed)
     memory = controller.begin(env.perceived)
     result: dict[str, Tensor] = {}
+    total = torch.zeros(episodes)
     for step in range(config.world.episode_steps):
         command, memory = controller.act(env.perceived, memory)
-        info = env.step(command)[-1]
+        _, reward, _, _, info = env.step(command)
+        total += reward
         result = info.get('final_metrics', result)
         on_step(step + 1)
-    return result
+    return result | {'return': total}
 
 
 def mean_and_interval(values: Tensor) -> tuple[float, float]:

@@ -8,7 +8,13 @@ from typing import Any
 from shepherd_ros.config import Config, option, part
 from shepherd_ros.sim.lidar import LidarConfig, scan
 from shepherd_ros.sim.metrics import count_step, metrics, MetricsTally, start_tally
-from shepherd_ros.sim.observation import first_stack, ObservationConfig, push_frame
+from shepherd_ros.sim.observation import (
+    first_stack,
+    frames_of,
+    history_length,
+    ObservationConfig,
+    push_frame,
+)
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.reward import reward_terms, RewardConfig
 from shepherd_ros.sim.spawn import spawn
@@ -55,6 +61,7 @@ class ShepherdEnv:
     perceived: WorldState
     tally: MetricsTally
     stack: Tensor | None
+    _history: Tensor | None
 
     def reset(self, seed: int = 0) -> tuple[Tensor | None, dict[str, Any]]:
         """Start every world; world b with seed + b. Return observation and info."""
@@ -98,13 +105,14 @@ class ShepherdEnv:
         self.state = state
         self.perceived = perceive(state, self.config.noise_std)
         if not self.lidar:
-            self.stack = None
+            self.stack = self._history = None
             return
         ranges = scan(self.perceived, self.config.lidar)
-        if push and self.stack is not None:
-            self.stack = push_frame(self.stack, ranges)
+        if push and self._history is not None:
+            self._history = push_frame(self._history, ranges)
         else:
-            self.stack = first_stack(ranges, self.config.observation.n_frames)
+            self._history = first_stack(ranges, history_length(self.config.observation))
+        self.stack = frames_of(self._history, self.config.observation)
 
     def _begin(self, state: WorldState) -> None:
         """Start all worlds in a state."""
@@ -113,11 +121,13 @@ class ShepherdEnv:
 
     def _restart(self, ended: Tensor) -> None:
         """Start new episodes where they ended, (B,) bool; the other worlds stay as they are."""
-        old_state, old_stack, old_tally = self.state, self.stack, self.tally
+        old_state, old_history, old_tally = self.state, self._history, self.tally
         fresh = spawn(self.config.world, old_state.seed + self.n_worlds)
         self._begin(where(ended, fresh, old_state))
-        if old_stack is not None and self.stack is not None:
-            self.stack = torch.where(ended[:, None, None, None, None], self.stack, old_stack)
+        if old_history is not None and self._history is not None:
+            chosen = ended[:, None, None, None, None]
+            self._history = torch.where(chosen, self._history, old_history)
+            self.stack = frames_of(self._history, self.config.observation)
         kept = {}
         for f in fields(old_tally):
             new, old = getattr(self.tally, f.name), getattr(old_tally, f.name)

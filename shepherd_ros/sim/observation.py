@@ -1,8 +1,9 @@
-"""From scans to the network's input: frame stack and layouts (paper, sections 3 and 4)."""
+"""From scans to the network's input: frame stack, direction and layouts (paper, sections 3, 4)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 
 from shepherd_ros.config import Config, option
 from shepherd_ros.sim.lidar import CHANNELS
@@ -10,47 +11,110 @@ import torch
 from torch import Tensor
 
 LAYOUTS = ('types', 'frames', 'ring')
+GOAL = CHANNELS.index('goal')
 
 
 @dataclass(frozen=True)
 class ObservationConfig(Config):
     """How scans become the input of a network."""
 
-    n_frames: int = option(3, 'last steps that are seen together', low=1, high=64)
+    n_frames: int = option(3, 'frames that are seen together', low=1, high=64)
+    spacing: int = option(1, 'steps from one frame to the next', low=1, high=1000)
     layout: str = option(
         'types',
         'types: channels are types, frames in a row; frames: the other way round; ring: both are '
         'channels',
         choices=LAYOUTS,
     )
+    align: str = option(
+        'world',
+        'first ray of the input: world: along +x; goal: toward the middle of the goal, as the '
+        'newest frame sees it, which makes all directions alike (choice: the paper names none)',
+        choices=('world', 'goal'),
+    )
+    unit: float = option(
+        0.0, 'ranges are divided by this [m]; 0: by range_max (choice)', low=0.0, high=1000.0
+    )
     none_value: float = option(
-        0.0, 'input where a ray is free, in units of range_max: 0 as in the paper, or 1', low=0.0
+        0.0, 'input where a ray is free: 0 as in the paper; 1: range_max if unit is 0', low=0.0
     )
 
 
-def first_stack(ranges: Tensor, n_frames: int) -> Tensor:
-    """Return a stack filled with the first reading; (..., 3, R) m -> (..., K, 3, R) m."""
-    return ranges[..., None, :, :].expand(*ranges.shape[:-2], n_frames, *ranges.shape[-2:]).clone()
+def history_length(config: ObservationConfig) -> int:
+    """Return how many readings in a row hold all frames that are seen together."""
+    return (config.n_frames - 1) * config.spacing + 1
+
+
+def first_stack(ranges: Tensor, length: int) -> Tensor:
+    """Return a stack filled with the first reading; (..., 3, R) m -> (..., T, 3, R) m."""
+    return ranges[..., None, :, :].expand(*ranges.shape[:-2], length, *ranges.shape[-2:]).clone()
 
 
 def push_frame(stack: Tensor, ranges: Tensor) -> Tensor:
-    """Return the stack with the newest reading last; (..., K, 3, R), (..., 3, R) m."""
+    """Return the stack with the newest reading last; (..., T, 3, R), (..., 3, R) m."""
     return torch.cat([stack[..., 1:, :, :], ranges[..., None, :, :]], dim=-3)
 
 
-def network_input(stack: Tensor, config: ObservationConfig, range_max: float) -> Tensor:
-    """
-    Return the stack in units of range_max, with free rays as none_value.
+def frames_of(stack: Tensor, config: ObservationConfig) -> Tensor:
+    """Return the frames that are seen together, newest last; (..., T, 3, R) -> (..., K, 3, R)."""
+    return stack[..., :: config.spacing, :, :]
 
-    (..., K, 3, R) m -> (..., C, L), where
+
+def scaled_ranges(ranges: Tensor, config: ObservationConfig, range_max: float) -> Tensor:
+    """Return ranges (...) m in the network's unit, with free rays as none_value."""
+    unit = config.unit or range_max
+    return torch.where(ranges.isfinite(), ranges / unit, config.none_value)
+
+
+def first_ray(ranges: Tensor, config: ObservationConfig) -> Tensor:
+    """
+    Return the ray that comes first in the input; newest frame (..., 3, R) m -> (...) int64.
+
+    Toward the goal: the rays that see its disc, weighted by range, point to its middle on average,
+    from outside and from inside alike. Ray 0 where it is not seen.
+    """
+    n_rays = ranges.shape[-1]
+    if config.align == 'world':
+        return torch.zeros(ranges.shape[:-2], dtype=torch.int64, device=ranges.device)
+    seen = ranges[..., GOAL, :]
+    seen = torch.where(seen.isfinite(), seen, 0.0)
+    pitch = 2 * math.pi / n_rays
+    theta = torch.arange(n_rays, device=ranges.device, dtype=torch.float64) * pitch
+    rays = torch.stack([theta.cos(), theta.sin()], dim=-1).to(ranges.dtype)
+    way = (seen[..., None] * rays).sum(dim=-2)  # a sum for each row: the same in every batch
+    return torch.remainder((torch.atan2(way[..., 1], way[..., 0]) / pitch).round().long(), n_rays)
+
+
+def arranged(stack: Tensor, first: Tensor, config: ObservationConfig) -> Tensor:
+    """
+    Return scaled frames (..., K, 3, R) with ray first (...) in front, as (..., C, L).
+
     C, L are 3, K R for layout types (oldest frame first); K, 3 R for frames; 3 K, R for ring.
     """
-    scaled = torch.where(stack.isfinite(), stack / range_max, config.none_value)
+    if config.align != 'world':
+        n_rays = stack.shape[-1]
+        rays = torch.arange(n_rays, device=stack.device) + first[..., None]
+        index = torch.remainder(rays, n_rays)[..., None, None, :].expand(stack.shape)
+        stack = stack.gather(-1, index)
     if config.layout == 'types':
-        return scaled.transpose(-3, -2).flatten(-2)
+        return stack.transpose(-3, -2).flatten(-2)
     if config.layout == 'frames':
-        return scaled.flatten(-2)
-    return scaled.flatten(-3, -2)
+        return stack.flatten(-2)
+    return stack.flatten(-3, -2)
+
+
+def network_input(stack: Tensor, config: ObservationConfig, range_max: float) -> Tensor:
+    """Return the input (..., C, L) that frames (..., K, 3, R) m are for a network."""
+    first = first_ray(stack[..., -1, :, :], config)
+    return arranged(scaled_ranges(stack, config, range_max), first, config)
+
+
+def turned(vector: Tensor, first: Tensor, n_rays: int) -> Tensor:
+    """Return a vector that is relative to ray first (...) in the world frame; (..., 2)."""
+    angle = first * (2 * math.pi / n_rays)
+    cos, sin = angle.cos().to(vector.dtype), angle.sin().to(vector.dtype)
+    x, y = vector[..., 0], vector[..., 1]
+    return torch.stack([x * cos - y * sin, x * sin + y * cos], dim=-1)
 
 
 def input_shape(config: ObservationConfig, n_rays: int) -> tuple[int, int]:

@@ -1,0 +1,152 @@
+"""
+The drover, a heuristic of this project: drives from far behind, lets go when the flock is home.
+
+Pushes do not grow with nearness in the Strömbom flock, and sheep rest while nobody is near. So the
+team stands on an arc behind the flock, seen from the goal, as far as it can and still be noticed;
+it need not follow the flock, only turn about the goal. When every sheep is inside, it goes out of
+their sight, or where they would wander without it, closes a ring around them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+from shepherd_ros.config import Config, option
+from shepherd_ros.controllers.base import Controller, Memory, places_on_arc
+from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
+from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.reward import distance_to_rim
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, unit, wrap
+from shepherd_ros.sim.world import WorldConfig
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class DroverConfig(Config):
+    """Options of the drover; all are choices."""
+
+    notice: float = option(
+        0.0, 'sheep notice shepherds so near [m]; 0: as the flock of the world', low=0.0
+    )
+    stand_off: float = option(4.0, 'least distance to the flock while driving [m]', low=0.0)
+    spacing: float = option(0.25, 'angle between neighbours on the arc [rad]', low=0.0)
+    reach: float = option(
+        0.45, 'sheep so far from the middle are pushed back, in goal radii', low=0.0, high=1.0
+    )
+    gain: float = option(
+        0.5,
+        'speed over the distance to a place, K_d [1/s]; gentle ways are easy to learn',
+        low=0.0,
+    )
+    patience: float = option(
+        0.5, 'a team of one or two turns to strays so far outside [m]', low=0.0
+    )
+    arrived: float = option(0.8, 'share of the flock that has to be inside', low=0.0, high=1.0)
+    lost: float = option(0.5, 'a smaller share inside is driven home again', low=0.0, high=1.0)
+
+
+def notice_range(world: WorldConfig) -> float:
+    """Return how near a shepherd has to be for a sheep to react [m]."""
+    flock = world.flock
+    if isinstance(flock, StrombomFlock):
+        return flock.shepherd_range
+    return flock.view_range if isinstance(flock, ReynoldsFlock) else 10.0
+
+
+class DroverController(Controller):
+    """Drives until all sheep are inside, then lets go until one is outside again."""
+
+    name = 'drover'
+    config_type = DroverConfig
+
+    def begin(self, seen: WorldState) -> Memory:
+        """Return the first phase: driving."""
+        zero = torch.zeros_like(seen.goal_radius)
+        return {'home': zero.bool(), 'ring': zero}
+
+    def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
+        """Return commands (..., H, 2) m/s and memory."""
+        config: DroverConfig = self.config
+        goal, center = seen.goal[..., None, :], seen.center[..., None, :]  # (..., 1, 2) m
+        radius = seen.goal_radius[..., None]
+        notice = config.notice or notice_range(self.world)
+        edge = notice + config.reach * radius  # (..., 1) m
+        behind = bearing(center - goal)  # (..., 1) rad
+
+        gap = torch.where(seen.sheep_mask, distance_to_rim(seen), -torch.inf)  # (..., N) m
+        share = (gap <= 0).sum(dim=-1) / gap.shape[-1]
+        home = share >= torch.where(memory['home'], config.lost, config.arrived)
+        spacing = 2 * math.pi / seen.team_size
+        ring = torch.where(home & ~memory['home'], behind[..., 0], memory['ring'])
+        ring = self._turned_to_strays(seen, gap, ring, spacing)
+
+        far = torch.linalg.vector_norm(seen.sheep - center, dim=-1) * seen.sheep_mask
+        clear = far.amax(dim=-1, keepdim=True) + config.stand_off
+        away = torch.linalg.vector_norm(center - goal, dim=-1)
+        stand = torch.where(home[..., None], edge, (away + clear).clamp(min=notice))
+        middle = torch.where(home, ring, behind[..., 0])[..., None]
+        spacing = torch.where(home, spacing, config.spacing)[..., None]
+        around = wrap(bearing(seen.shepherds - goal) - middle)
+        place = middle + places_on_arc(around, spacing, seen.shepherd_mask)
+        target = goal + stand[..., None] * from_bearing(place)
+        # on the ring the way is along it, as a straight one would cut through the flock
+        closing = self._along_ring(seen, place, stand)
+        way = torch.where(home[..., None, None], closing, self._round(seen, target, center, clear))
+        velocity = clip_norm(way * config.gain, self.world.shepherd_speed)
+        return velocity, {'home': home, 'ring': ring}
+
+    def _turned_to_strays(
+        self, seen: WorldState, gap: Tensor, ring: Tensor, spacing: Tensor
+    ) -> Tensor:
+        """
+        Return the direction of the ring's middle, (...) rad, so that some place is behind strays.
+
+        The ring stays while a stray is in front of one of its places, else it turns to the
+        farthest. A ring of three or more has no gaps and stays.
+        """
+        edge = ring - (seen.team_size - 1) / 2 * spacing  # bearing of one of the places
+        stray = bearing(seen.sheep - seen.goal[..., None, :])  # (..., N)
+        off = torch.remainder(stray - edge[..., None], spacing[..., None])
+        off = torch.minimum(off, spacing[..., None] - off)
+        outside = gap > self.config.patience
+        watched = (outside & (off < 1.0)).any(dim=-1) | ~outside.any(dim=-1)
+        farthest = stray.gather(-1, gap.argmax(dim=-1, keepdim=True))[..., 0]
+        turned = farthest + (seen.team_size - 1) / 2 * spacing
+        return torch.where(watched | (seen.team_size > 2), ring, turned)
+
+    def _along_ring(self, seen: WorldState, place: Tensor, stand: Tensor) -> Tensor:
+        """Return the way to a place on a ring about the goal, along the ring; (..., H, 2) m."""
+        from_goal = seen.shepherds - seen.goal[..., None, :]
+        distance = torch.linalg.vector_norm(from_goal, dim=-1)
+        angle = bearing(from_goal)
+        turn = wrap(place - angle)
+        step = self.world.shepherd_speed * self.world.dt / stand
+        nearer = (stand - distance).clamp(-step * stand, step * stand)
+        outside = distance + nearer >= stand - 0.5 * stand.clamp(max=1.0)
+        turn = torch.where(outside, turn.clamp(-step, step), 0.0)
+        there = seen.goal[..., None, :] + (distance + nearer)[..., None] * from_bearing(
+            angle + turn
+        )
+        return there - seen.shepherds
+
+    def _round(self, seen: WorldState, target: Tensor, center: Tensor, clear: Tensor) -> Tensor:
+        """Return the way to take to a target, (..., H, 2) m, not through the flock."""
+        from_center = seen.shepherds - center
+        distance = torch.linalg.vector_norm(from_center, dim=-1)
+        turn = wrap(bearing(target - center) - bearing(from_center))
+        straight = target - seen.shepherds
+        # nearest point of the straight way to the center
+        length = torch.linalg.vector_norm(straight, dim=-1).clamp(min=1e-6)
+        along = (-(from_center * straight).sum(dim=-1) / length.square()).clamp(0.0, 1.0)
+        nearest = torch.linalg.vector_norm(from_center + along[..., None] * straight, dim=-1)
+        blocked = (nearest < torch.minimum(clear, distance) - 0.01) & (turn.abs() > 0.2)
+        side = torch.where(turn >= 0, 1.0, -1.0) * (math.pi / 2)
+        tangent = from_bearing(bearing(from_center) + side)
+        outward = unit(from_center) * ((clear - distance).clamp(0.0, 1.0))[..., None]
+        return torch.where(blocked[..., None], (tangent + outward) * 10.0, straight)
+
+
+CONTROLLER = DroverController

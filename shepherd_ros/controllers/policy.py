@@ -1,0 +1,82 @@
+"""The learned controller: each shepherd looks through its own lidar and acts for itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from shepherd_ros.config import Config, ConfigError, option
+from shepherd_ros.controllers.base import Controller, Memory
+from shepherd_ros.policy import pilot
+from shepherd_ros.policy.checkpoint import load_policy
+from shepherd_ros.policy.policy import Policy
+from shepherd_ros.sim.lidar import scan
+from shepherd_ros.sim.noise import normal, Stream
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.world import WorldConfig
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class LearnedConfig(Config):
+    """Options of the learned controller."""
+
+    checkpoint: str = option('general', 'checkpoint: a file, or the name of one that is shipped')
+    sample: bool = option(False, 'draw actions from the policy; false: its mean')
+
+
+class LearnedController(Controller):
+    """Runs a policy for all shepherds; remembers what each has seen and its last command."""
+
+    name = 'policy'
+    config_type = LearnedConfig
+
+    def __init__(
+        self,
+        config: LearnedConfig,
+        world: WorldConfig,
+        policy: Policy | None = None,
+        dtype: torch.dtype = torch.float32,
+    ) -> None:
+        """Load the checkpoint, or take the policy that is given; check that it fits the world."""
+        super().__init__(config, world)
+        self.policy = load_policy(config.checkpoint) if policy is None else policy
+        self.dtype = dtype
+        require_same_world(self.policy, world)
+
+    def begin(self, seen: WorldState) -> Memory:
+        """Return the memory of a team that has seen nothing."""
+        return pilot.begin(self.policy, seen.step.shape, seen.shepherds.shape[-2])
+
+    def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
+        """Return new commands where it is time to decide, else the held ones; and memory."""
+
+        def draws() -> Tensor:
+            return action_draws(seen.seed, seen.step, seen.shepherds.shape[-2])
+
+        return pilot.fly(
+            self.policy,
+            lambda: scan(seen, self.policy.config.lidar),
+            seen.shepherd_mask,
+            memory,
+            self.world.shepherd_speed,
+            (lambda: action_draws(seen.seed, seen.step, seen.shepherds.shape[-2]))
+            if self.config.sample
+            else None,
+            self.dtype,
+        )
+
+
+def action_draws(seed: Tensor, step: Tensor, team: int) -> Tensor:
+    """Return the random numbers (..., H, 2) of sampled actions of a team."""
+    index = torch.arange(2 * team, device=step.device)
+    return normal(seed, step, Stream.ACTION, index).unflatten(-1, (-1, 2))
+
+
+def require_same_world(policy: Policy, world: WorldConfig) -> None:
+    """Raise ConfigError unless the world has the time step that a policy was trained with."""
+    if world.dt != policy.config.dt:
+        raise ConfigError(
+            f'dt is {world.dt} s: expected {policy.config.dt} s, with which the policy was '
+            'trained; choose another preset, or a checkpoint that was trained with yours'
+        )

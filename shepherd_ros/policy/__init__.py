@@ -1,0 +1,1 @@
+"""The learned controller's network and its checkpoints, for the trainer and the node alike."""

@@ -1,0 +1,122 @@
+"""A policy in a file: weights and everything about them as safetensors; opening runs no code."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import json
+from pathlib import Path
+from typing import Any
+
+from safetensors import safe_open, SafetensorError
+from safetensors.torch import save_file
+from shepherd_ros import __version__
+from shepherd_ros.config import ConfigError
+from shepherd_ros.policy.policy import Policy, PolicyConfig
+from shepherd_ros.share import share_file
+import torch
+
+FORMAT = 'shepherd_ros policy 1'
+LARGEST = 1 << 30  # [bytes] of a file
+SUFFIX = '.safetensors'
+
+
+def save_policy(path: Path, policy: Policy, record: Mapping[str, Any]) -> None:
+    """
+    Write a policy; record says how it was made: command, seed, wall time, results, all plain data.
+
+    The file is written beside and moved into place, so that a reader never sees half of it.
+    """
+    metadata = {
+        'format': FORMAT,
+        'version': __version__,
+        'config': json.dumps(policy.config.to_dict()),
+        'record': json.dumps(record),
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_suffix('.part')
+    state = {name: value.contiguous() for name, value in policy.state_dict().items()}
+    save_file(state, beside, metadata)
+    beside.replace(path)
+
+
+def checkpoint_file(name: str) -> Path:
+    """Return the path of a checkpoint: that of a file, or a shipped one by its name."""
+    path = Path(name)
+    if path.suffix == SUFFIX or path.exists():
+        if path.is_file():
+            return path
+        raise ConfigError(f'checkpoint is {name!r}: expected a file that exists')
+    try:
+        return share_file('checkpoints', name + SUFFIX)
+    except (FileNotFoundError, ValueError) as error:
+        raise ConfigError(
+            f'checkpoint is {name!r}: expected a {SUFFIX} file, or one that is shipped: '
+            f'{", ".join(shipped_checkpoints()) or "none is"}'
+        ) from error
+
+
+def shipped_checkpoints() -> list[str]:
+    """Return the names of the checkpoints that come with the package."""
+    try:
+        return sorted(path.stem for path in share_file('checkpoints').glob('*' + SUFFIX))
+    except FileNotFoundError:
+        return []
+
+
+def read_metadata(path: Path) -> tuple[PolicyConfig, dict[str, Any], str]:
+    """Return configuration, record and package version of a checkpoint, without its weights."""
+    if path.stat().st_size > LARGEST:
+        raise ConfigError(f'{path} has more than {LARGEST} bytes: not a checkpoint of ours')
+    try:
+        with safe_open(path, framework='pt') as file:
+            metadata = file.metadata() or {}
+    except (SafetensorError, OSError, ValueError) as error:
+        raise ConfigError(
+            f'{path} is no whole safetensors file ({error}): copy or train it again'
+        ) from error
+    if metadata.get('format') != FORMAT:
+        raise ConfigError(
+            f'{path} has format {metadata.get("format")!r}: expected {FORMAT!r}, as '
+            'shepherd train writes'
+        )
+    try:
+        config, record = (json.loads(metadata[key]) for key in ('config', 'record'))
+    except (KeyError, ValueError, RecursionError) as error:
+        raise ConfigError(f'{path} has damaged metadata ({error}): copy it again') from error
+    if not isinstance(config, dict) or not isinstance(record, dict):
+        raise ConfigError(f'{path} has damaged metadata: config and record should be objects')
+    try:
+        return PolicyConfig.from_dict(config), record, str(metadata.get('version', '?'))
+    except ConfigError as error:
+        raise ConfigError(f'{path}: {error}') from error
+
+
+def load_policy(name: str, device: str = 'cpu') -> Policy:
+    """Return the policy of a checkpoint in float32, or raise ConfigError; name: a file or name."""
+    path = checkpoint_file(name)
+    config, _, _ = read_metadata(path)
+    with torch.device('meta'):
+        policy = Policy(config)
+    wanted = policy.state_dict()
+    state = {}
+    try:
+        with safe_open(path, framework='pt', device=device) as file:
+            names = set(file.keys())
+            if names != set(wanted):
+                odd = sorted(names ^ set(wanted))[0]
+                raise ConfigError(f'{path}: weights {odd!r} are missing or too many')
+            for key, like in wanted.items():
+                shape = tuple(file.get_slice(key).get_shape())
+                if shape != tuple(like.shape):
+                    raise ConfigError(
+                        f'{path}: weights {key!r} are {shape}, expected {tuple(like.shape)}'
+                    )
+                state[key] = file.get_tensor(key).float()
+                if not state[key].isfinite().all():
+                    raise ConfigError(f'{path}: weights {key!r} are not all finite')
+    except (SafetensorError, OSError, ValueError, RuntimeError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        raise ConfigError(f'{path} cannot be read ({error}): copy it again') from error
+    policy.load_state_dict(state, assign=True)
+    return policy.requires_grad_(False).eval()

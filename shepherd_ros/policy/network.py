@@ -1,0 +1,130 @@
+"""The paper's network (figure 2): two convolutions over the rays, a dense layer, a head."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+from shepherd_ros.config import Config, ConfigError, option
+from shepherd_ros.policy.pooling import WINDOW
+from shepherd_ros.policy.stages import first_stage, plain_stage, second_stage
+import torch
+from torch import nn, Tensor
+from torch.nn import functional
+
+KERNEL = 10  # rays that a filter covers
+
+
+@dataclass(frozen=True)
+class NetworkConfig(Config):
+    """The sizes of the paper, and what it leaves open."""
+
+    filters_1: int = option(32, 'filters of the first convolution', low=1, high=1024)
+    filters_2: int = option(64, 'filters of the second convolution', low=1, high=1024)
+    hidden: int = option(512, 'units of the dense layer', low=1, high=16384)
+    padding: str = option(
+        'valid',
+        'valid: as the paper counts; circular: rays close to a ring, for layout ring only',
+        choices=('valid', 'circular'),
+    )
+    spread: str = option(
+        'state',
+        'standard deviation of actions: state: two more outputs (paper); free: two numbers',
+        choices=('state', 'free'),
+    )
+    first_std: float = option(0.6, 'standard deviation before training [m/s]', low=0.001)
+    min_std: float = option(0.05, 'smallest standard deviation [m/s]', low=0.0001)
+    max_std: float = option(1.65, 'largest standard deviation [m/s]', low=0.001)
+
+
+def fast_dtype() -> torch.dtype:
+    """Return bfloat16 where the CPU multiplies matrices of it, else float32."""
+    return torch.bfloat16 if torch.cpu._is_amx_tile_supported() else torch.float32
+
+
+def weights(layer: nn.Conv1d) -> tuple[Tensor, Tensor]:
+    """Return weight (F, C, K) and bias (F) of a convolution."""
+    assert layer.bias is not None
+    return layer.weight, layer.bias
+
+
+class Body(nn.Module):
+    """From input (B, C, L) to features (B, hidden): shared in form, not in weights."""
+
+    def __init__(self, shape: tuple[int, int], config: NetworkConfig) -> None:
+        """Make the layers for an input of C channels and length L."""
+        super().__init__()
+        channels, length = shape
+        self.circular = config.padding == 'circular'
+        for _ in range(2):
+            length = (length if self.circular else length - KERNEL + 1) // WINDOW
+        if length < 1:
+            raise ConfigError(f'an input of {shape[1]} values in a row: expected 79 or more')
+        self.conv1 = nn.Conv1d(channels, config.filters_1, KERNEL)
+        self.conv2 = nn.Conv1d(config.filters_1, config.filters_2, KERNEL)
+        self.dense = nn.Linear(length * config.filters_2, config.hidden)
+        for layer in (self.conv1, self.conv2, self.dense):
+            nn.init.orthogonal_(layer.weight.flatten(1), math.sqrt(2.0))
+            assert layer.bias is not None
+            nn.init.zeros_(layer.bias)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return the features in the dtype of x, which the weights are cast to."""
+        x = self._closed(x.transpose(1, 2))  # (B, L, C)
+        x = first_stage(x, *weights(self.conv1))
+        x = second_stage(self._closed(x), *weights(self.conv2))
+        dense = self.dense
+        x = functional.linear(x.flatten(1), dense.weight.to(x.dtype), dense.bias.to(x.dtype))
+        return functional.relu(x)
+
+    def plain(self, x: Tensor) -> Tensor:
+        """Return forward() as the paper draws it, the reference of the fast form."""
+        for layer in (self.conv1, self.conv2):
+            x = self._closed(x.transpose(1, 2)).transpose(1, 2)
+            x = plain_stage(x, *weights(layer))
+        return functional.relu(self.dense(x.transpose(1, 2).flatten(1)))
+
+    def _closed(self, x: Tensor) -> Tensor:
+        """Return x (B, L, C) with its first values once more at its end, if it is a ring."""
+        return torch.cat([x, x[:, : KERNEL - 1]], dim=1) if self.circular else x
+
+
+class Actor(nn.Module):
+    """From input (B, C, L) to mean and standard deviation of the action, (B, 2) m/s each."""
+
+    def __init__(self, shape: tuple[int, int], config: NetworkConfig) -> None:
+        """Make the network with nearly no motion as its first mean."""
+        super().__init__()
+        self.config = config
+        self.body = Body(shape, config)
+        self.head = nn.Linear(config.hidden, 4 if config.spread == 'state' else 2)
+        nn.init.orthogonal_(self.head.weight, 0.01)
+        nn.init.zeros_(self.head.bias)
+        if config.spread == 'free':
+            self.log_std = nn.Parameter(torch.full((2,), math.log(config.first_std)))
+
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Return mean and standard deviation in float32."""
+        out = self.head(self.body(x).float())
+        if self.config.spread == 'state':
+            log_std = out[:, 2:] + math.log(self.config.first_std)
+        else:
+            log_std = self.log_std.expand(len(x), 2)
+        low, high = math.log(self.config.min_std), math.log(self.config.max_std)
+        return out[:, :2], log_std.clamp(low, high).exp()
+
+
+class Critic(nn.Module):
+    """From input (B, C, L) to the expected return of the team, (B,)."""
+
+    def __init__(self, shape: tuple[int, int], config: NetworkConfig) -> None:
+        """Make the network."""
+        super().__init__()
+        self.body = Body(shape, config)
+        self.head = nn.Linear(config.hidden, 1)
+        nn.init.orthogonal_(self.head.weight, 1.0)
+        nn.init.zeros_(self.head.bias)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return the value in float32."""
+        return self.head(self.body(x).float())[:, 0]

@@ -1,0 +1,95 @@
+"""What a learned shepherd is: sensors, frames, network; from scans to velocities."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from shepherd_ros.config import Config, ConfigError, option, part
+from shepherd_ros.policy.network import Actor, Critic, NetworkConfig
+from shepherd_ros.sim.lidar import LidarConfig
+from shepherd_ros.sim.observation import (
+    arranged,
+    first_ray,
+    input_shape,
+    ObservationConfig,
+    scaled_ranges,
+    turned,
+)
+import torch
+from torch import nn, Tensor
+
+
+@dataclass(frozen=True)
+class PolicyConfig(Config):
+    """What a policy was trained for; an episode has to agree with it."""
+
+    dt: float = option(0.5, 'seconds per step', low=0.001, high=10.0)
+    repeat: int = option(1, 'steps that one action is held', low=1, high=1000)
+    lidar: LidarConfig = part(LidarConfig)
+    observation: ObservationConfig = part(ObservationConfig)
+    network: NetworkConfig = part(NetworkConfig)
+
+    def __post_init__(self) -> None:
+        """Check each field and what has to fit together."""
+        super().__post_init__()
+        if self.observation.spacing % self.repeat:
+            raise ConfigError(
+                f'spacing is {self.observation.spacing}: expected a multiple of repeat, '
+                f'{self.repeat}, as frames are taken when an action is chosen'
+            )
+        if self.network.padding == 'circular' and self.observation.layout != 'ring':
+            raise ConfigError(
+                f'layout is {self.observation.layout!r}: expected ring with circular padding, '
+                'as only there the last ray is beside the first'
+            )
+
+    @property
+    def history(self) -> int:
+        """Return how many decisions in a row hold all frames."""
+        return (self.observation.n_frames - 1) * self.decisions_apart + 1
+
+    @property
+    def decisions_apart(self) -> int:
+        """Return how many decisions are from one frame to the next."""
+        return self.observation.spacing // self.repeat
+
+
+class Policy(nn.Module):
+    """Actor and critic with their configuration; both read the same input."""
+
+    def __init__(self, config: PolicyConfig) -> None:
+        """Make networks with random weights from torch's generator."""
+        super().__init__()
+        self.config = config
+        shape = input_shape(config.observation, config.lidar.n_rays)
+        self.actor = Actor(shape, config.network)
+        self.critic = Critic(shape, config.network)
+
+    def scaled(self, ranges: Tensor) -> Tensor:
+        """Return ranges (...) m as the network sees them, before they are arranged."""
+        return scaled_ranges(ranges, self.config.observation, self.config.lidar.range_max)
+
+    def first_ray(self, ranges: Tensor) -> Tensor:
+        """Return the ray in front for the newest frames (..., 3, R) m; actions are relative."""
+        return first_ray(ranges, self.config.observation)
+
+    def arranged(self, scaled: Tensor, first: Tensor) -> Tensor:
+        """Return the input (..., C, L) of scaled frames (..., K, 3, R) with a ray in front."""
+        return arranged(scaled, first, self.config.observation)
+
+    @torch.no_grad()
+    def act(
+        self, frames: Tensor, draws: Tensor | None = None, dtype: torch.dtype = torch.float32
+    ) -> Tensor:
+        """
+        Return velocities (n, 2) m/s in the world frame, not cut to the top speed.
+
+        frames (n, K, 3, R) m are readings, +inf on free rays, newest last. draws (n, 2) are
+        standard normal numbers for a sampled action; None: the mean. dtype is that of the work.
+        """
+        if not len(frames):
+            return frames.new_zeros(0, 2)
+        first = self.first_ray(frames[:, -1])
+        mean, std = self.actor(self.arranged(self.scaled(frames).to(dtype), first))
+        action = mean if draws is None else mean + std * draws
+        return turned(action, first, frames.shape[-1])

@@ -1,0 +1,108 @@
+"""
+A convolution, ReLU and pooling as one step, in a form that is fast on a CPU.
+
+The same function as torch's own operations in turn (`plain_stage`), in another order: pooling
+comes before ReLU, channels are last, and the gradient goes only to the winners.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from shepherd_ros.policy.pooling import pool, spread, usable, WINDOW
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+
+def plain_stage(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """Return max over five neighbours of relu(conv(x)); (B, C, L) -> (B, F, (L - K + 1) // 5)."""
+    x = functional.conv1d(x, weight.to(x.dtype), bias.to(x.dtype))
+    return functional.max_pool1d(functional.relu(x), WINDOW)
+
+
+def first_stage(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """
+    Return plain_stage() of an input that needs no gradient; (B, L, C) -> (B, P, F).
+
+    weight is (F, C, K), bias (F).
+    """
+    if not usable(x):
+        return plain_stage(x.transpose(1, 2), weight, bias).transpose(1, 2)
+    return _FirstStage.apply(x, _window_weight(weight, bias).to(x.dtype))
+
+
+def second_stage(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """Return plain_stage(); (B, L, C) -> (B, P, F); weight is (F, C, K), bias (F)."""
+    if not usable(x):
+        return plain_stage(x.transpose(1, 2), weight, bias).transpose(1, 2)
+    flat = weight[:, :, None].to(x.dtype).contiguous(memory_format=torch.channels_last)
+    return _SecondStage.apply(x.contiguous(), flat, bias.to(x.dtype))
+
+
+def _window_weight(weight: Tensor, bias: Tensor) -> Tensor:
+    """
+    Return the matrix (5 F, (K + 4) C + 1) from a window of inputs and a one to five outputs.
+
+    The outputs that are pooled together come from one window of K + 4 inputs; they differ in where
+    the filter begins.
+    """
+    taps = weight.transpose(1, 2)  # (F, K, C)
+    shifted = [functional.pad(taps, (0, 0, j, WINDOW - 1 - j)).flatten(1) for j in range(WINDOW)]
+    return torch.cat([torch.cat(shifted), bias.repeat(WINDOW)[:, None]], dim=1)
+
+
+class _FirstStage(torch.autograd.Function):
+    """One product of matrices: good for few channels, where a convolution is slow."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor) -> Tensor:
+        batch, length, channels = x.shape
+        width = weight.shape[1] - 1
+        count = length - width // channels + WINDOW  # outputs before pooling
+        windows = x.new_ones(batch, count // WINDOW, width + 1)
+        strides = (length * channels, WINDOW * channels, 1)
+        windows[..., :-1] = x.contiguous().as_strided((*windows.shape[:2], width), strides)
+        windows = windows.flatten(0, 1)
+        out = (windows @ weight.T).view(batch, -1, weight.shape[0] // WINDOW)
+        pooled, winner = pool(out)
+        ctx.save_for_backward(windows, winner)
+        return pooled
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor]:
+        windows, winner = ctx.saved_tensors
+        wide = spread(gradients[0], winner, winner.shape[1] * WINDOW)
+        return None, (windows.T @ wide.view(len(windows), -1)).T
+
+
+class _SecondStage(torch.autograd.Function):
+    """A convolution with channels last in memory."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+        out = functional.conv2d(x.transpose(1, 2)[:, :, None], weight, bias)
+        out = out[:, :, 0].transpose(1, 2).contiguous()
+        pooled, winner = pool(out)
+        ctx.save_for_backward(x, weight, winner)
+        ctx.width = out.shape[1]
+        return pooled
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        x, weight, winner = ctx.saved_tensors
+        wide = spread(gradients[0], winner, ctx.width)
+        grads = torch.ops.aten.convolution_backward(
+            wide.transpose(1, 2)[:, :, None],
+            x.transpose(1, 2)[:, :, None],
+            weight,
+            [weight.shape[0]],
+            [1, 1],
+            [0, 0],
+            [1, 1],
+            False,
+            [0, 0],
+            1,
+            [True, True, True],
+        )
+        return grads[0][:, :, 0].transpose(1, 2), grads[1], grads[2]

@@ -1,0 +1,137 @@
+"""Checkpoints: what is written is read, and what is damaged is refused by name."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+import random
+import struct
+
+import pytest
+from safetensors import safe_open
+from safetensors.torch import save_file
+from shepherd_ros.config import ConfigError
+from shepherd_ros.policy.checkpoint import load_policy, read_metadata, save_policy
+from shepherd_ros.policy.network import NetworkConfig
+from shepherd_ros.policy.policy import Policy, PolicyConfig
+from shepherd_ros.sim.lidar import LidarConfig
+from shepherd_ros.sim.observation import ObservationConfig
+import torch
+
+SMALL = PolicyConfig(
+    repeat=2,
+    lidar=LidarConfig(n_rays=64),
+    observation=ObservationConfig(spacing=4, unit=12.5, align='goal'),
+    network=NetworkConfig(filters_1=2, filters_2=3, hidden=4),
+)
+CASES = 2000
+
+
+@pytest.fixture(scope='module')
+def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp('checkpoint') / 'small.safetensors'
+    save_policy(path, Policy(SMALL), {'command': 'none', 'seed': 3})
+    return path
+
+
+def test_a_policy_comes_back_as_it_was(checkpoint: Path) -> None:
+    torch.manual_seed(0)
+    policy, back = Policy(SMALL), load_policy(str(checkpoint))
+    assert back.config == SMALL
+    for name, value in policy.state_dict().items():
+        assert torch.equal(back.state_dict()[name], value), name
+    frames = 20 * torch.rand(4, 3, 3, 64)
+    assert torch.equal(policy.act(frames), back.act(frames))
+    config, record, _ = read_metadata(checkpoint)
+    assert (config, record) == (SMALL, {'command': 'none', 'seed': 3})
+    assert [path.name for path in checkpoint.parent.iterdir()] == [checkpoint.name]
+
+
+def test_names_that_are_no_checkpoint_are_refused(tmp_path: Path) -> None:
+    for name in ('nobody', str(tmp_path), str(tmp_path / 'none.safetensors'), '../policy'):
+        with pytest.raises(ConfigError, match=r'checkpoint is .*: expected'):
+            load_policy(name)
+
+
+def changed(source: Path, target: Path, **metadata: str | None) -> Path:
+    """Write a checkpoint with other metadata."""
+    with safe_open(source, framework='pt') as file:
+        kept = dict(file.metadata())
+        weights = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    kept |= {key: value for key, value in metadata.items() if value is not None}
+    for key, value in metadata.items():
+        if value is None:
+            kept.pop(key, None)
+    save_file(weights, target, kept)
+    return target
+
+
+@pytest.mark.parametrize(
+    ('metadata', 'words'),
+    [
+        ({'format': 'another'}, "format 'another': expected 'shepherd_ros policy 1'"),
+        ({'format': None}, 'format None'),
+        ({'config': '{'}, 'damaged metadata'),
+        ({'config': '[]'}, 'should be objects'),
+        ({'record': None}, 'damaged metadata'),
+        ({'config': '[' * 100_000}, 'damaged metadata'),
+        ({'config': '{"hidden": 3}'}, "PolicyConfig field is 'hidden'"),
+        ({'config': '{"dt": -1.0}'}, 'dt is -1.0: expected a value in'),
+        ({'config': json.dumps(PolicyConfig().to_dict())}, 'expected .32, 3, 10.'),
+        ({'config': json.dumps(SMALL.to_dict() | {'network': {'hidden': 16384}})}, 'expected'),
+    ],
+)
+def test_metadata_that_does_not_fit_is_named(
+    checkpoint: Path, tmp_path: Path, metadata: dict[str, str | None], words: str
+) -> None:
+    path = changed(checkpoint, tmp_path / 'odd.safetensors', **metadata)
+    with pytest.raises(ConfigError, match=words):
+        load_policy(str(path))
+
+
+def test_weights_that_are_missing_odd_or_not_finite_are_named(
+    checkpoint: Path, tmp_path: Path
+) -> None:
+    with safe_open(checkpoint, framework='pt') as file:
+        metadata = file.metadata()
+        weights = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    name = 'actor.head.bias'
+    for odd, words in (
+        ({k: v for k, v in weights.items() if k != name}, 'missing or too many'),
+        (weights | {'extra': torch.ones(1)}, "'extra' are missing or too many"),
+        (weights | {name: torch.ones(5)}, r'\(5,\), expected \(4,\)'),
+        (weights | {name: torch.full((4,), torch.nan)}, 'not all finite'),
+    ):
+        path = tmp_path / 'odd.safetensors'
+        save_file(odd, path, metadata)
+        with pytest.raises(ConfigError, match=words):
+            load_policy(str(path))
+
+
+def test_damaged_files_give_an_error_and_nothing_else(checkpoint: Path, tmp_path: Path) -> None:
+    whole = checkpoint.read_bytes()
+    draw = random.Random(0)
+    path = tmp_path / 'damaged.safetensors'
+    refused = 0
+    for _ in range(CASES):
+        data = bytearray(whole)
+        kind = draw.randrange(5)
+        if kind == 0:
+            del data[draw.randrange(len(data)) :]
+        elif kind == 1:  # header or metadata
+            data[draw.randrange(3000)] = draw.randrange(256)
+        elif kind == 2:
+            data[:8] = struct.pack('<Q', draw.choice([0, 1, 1 << 20, 1 << 40, (1 << 64) - 1]))
+        elif kind == 3:
+            data = bytearray(draw.randbytes(draw.randrange(2000)))
+        else:
+            at = draw.randrange(len(data))
+            data[at : at + draw.randrange(1, 50)] = draw.randbytes(draw.randrange(50))
+        path.write_bytes(data)
+        try:
+            load_policy(str(path))
+        except ConfigError as error:
+            assert 'damaged.safetensors' in str(error)
+            refused += 1
+    assert refused > CASES / 2  # a changed weight is still a weight
