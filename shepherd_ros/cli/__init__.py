@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+import os
 import sys
 from typing import Any
 
@@ -13,9 +15,19 @@ class UserError(Exception):
     """A mistake of the user's or of the machine: what, what was expected, what to do."""
 
 
+@dataclass
+class Train:
+    """Train a policy: shepherd train ppo, bc or dagger."""
+
+    def run(self) -> int:
+        """Tell what is missing."""
+        raise UserError('train needs to be told how: expected shepherd train ppo, bc or dagger')
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run a verb and return the exit code: 2 for a mistake of the user's, 130 for Ctrl-C."""
     from shepherd_ros.cli.bag import BagVerbs
+    from shepherd_ros.cli.checkpoint import CheckpointVerbs
     from shepherd_ros.cli.counterfactual import Counterfactual
     from shepherd_ros.cli.demo import Demo
     from shepherd_ros.cli.evaluate import Evaluate
@@ -30,14 +42,25 @@ def main(arguments: list[str] | None = None) -> int:
         'replay': Replay,
         'counterfactual': Counterfactual,
         'bag': BagVerbs,
+        'train': Train,
+        'checkpoint': CheckpointVerbs,
     }
+    words = sys.argv[1:] if arguments is None else arguments
+    prog, text = 'shepherd', 'Herd with robots.'
     try:
-        verb = tyro.extras.subcommand_cli_from_dict(
-            verbs, prog='shepherd', description='Herd with robots.', args=arguments
-        )
+        if words[:1] == ['train']:  # its arguments are made with torch, which takes a second
+            from shepherd_ros.cli.train import verbs as training
+
+            verbs = dict(training())
+            words = words[1:]
+            prog, text = 'shepherd train', Train.__doc__ or ''
+        verb = tyro.extras.subcommand_cli_from_dict(verbs, prog=prog, description=text, args=words)
         return int(verb.run())
     except (UserError, ConfigError) as error:
         print(f'shepherd: {error}', file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
+    except BrokenPipeError:  # a reader that has had enough, such as head
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0

@@ -1,0 +1,44 @@
+"""Command-line arguments made from a configuration: same names, defaults, texts and choices."""
+
+from __future__ import annotations
+
+from dataclasses import field, fields, make_dataclass
+from typing import Annotated, Any, Literal, TypeVar
+
+from shepherd_ros.config import Config
+import tyro
+
+C = TypeVar('C', bound=Config)
+
+
+def arguments_of(default: Config, hidden: tuple[str, ...] = ()) -> type[Any]:
+    """Return a dataclass of arguments with the values of a configuration as defaults."""
+    rows: list[Any] = []
+    for f in fields(default):
+        value = getattr(default, f.name)
+        if f.name in hidden:
+            continue
+        if isinstance(value, Config):
+            nested = arguments_of(value)
+            rows.append((f.name, nested, field(default_factory=nested)))
+            continue
+        kind: Any = type(value)
+        if f.metadata.get('choices'):
+            kind = Literal[tuple(f.metadata['choices'])]
+        argument = tyro.conf.arg(help=f.metadata.get('doc', ''))
+        rows.append((f.name, Annotated[kind, argument], value))
+    return make_dataclass(type(default).__name__, rows, namespace={'__doc__': default.__doc__})
+
+
+def plain(arguments: Any) -> dict[str, Any]:
+    """Return arguments as nested plain data, ready for Config.from_dict()."""
+    return {
+        f.name: plain(value) if hasattr(value, '__dataclass_fields__') else value
+        for f in fields(arguments)
+        for value in [getattr(arguments, f.name)]
+    }
+
+
+def configured(kind: type[C], arguments: Any) -> C:
+    """Return the configuration that arguments ask for, or raise ConfigError."""
+    return kind.from_dict(plain(arguments))

@@ -1,0 +1,111 @@
+"""Verbs checkpoint info, random and export."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import json
+from pathlib import Path
+from typing import Annotated
+
+from shepherd_ros.cli import UserError
+import tyro
+
+CheckpointName = tyro.conf.Positional[str]
+CLOSE = 1e-4  # largest difference of an exported network's outputs
+
+
+@dataclass
+class Info:
+    """Show what a checkpoint was trained on, how, and how good it is; without arguments, list."""
+
+    checkpoint: CheckpointName = ''
+    """A file, or the name of a shipped one."""
+    weights: bool = False
+    """Also list the weights."""
+
+    def run(self) -> int:
+        """Print it."""
+        from shepherd_ros.policy.checkpoint import (
+            checkpoint_file,
+            load_policy,
+            read_metadata,
+            shipped_checkpoints,
+        )
+
+        if not self.checkpoint:
+            print('\n'.join(shipped_checkpoints()) or 'no checkpoint is shipped')
+            return 0
+        path = checkpoint_file(self.checkpoint)
+        config, record, version = read_metadata(path)
+        print(f'file:    {path}\nsize:    {path.stat().st_size} bytes\nversion: {version}')
+        for title, content in (('policy', config.to_dict()), ('record', record)):
+            print(f'{title}:\n{json.dumps(content, indent=2)}')
+        if self.weights:
+            for name, value in load_policy(self.checkpoint).state_dict().items():
+                print(f'{name:24} {tuple(value.shape)}')
+        return 0
+
+
+@dataclass
+class RandomWeights:
+    """Write a checkpoint with random weights, to try the nodes before anything is trained."""
+
+    output: Annotated[Path, tyro.conf.arg(aliases=['-o'])]
+    """File to write, *.safetensors."""
+    seed: int = 0
+    """Seed of the weights."""
+
+    def run(self) -> int:
+        """Write it."""
+        from shepherd_ros.policy.checkpoint import save_policy, SUFFIX
+        from shepherd_ros.policy.policy import Policy, PolicyConfig
+        import torch
+
+        if self.output.suffix != SUFFIX:
+            raise UserError(f'--output is {self.output}: expected a name that ends in {SUFFIX}')
+        torch.manual_seed(self.seed)
+        record = {'command': f'shepherd checkpoint random --seed {self.seed}', 'trained': False}
+        save_policy(self.output, Policy(PolicyConfig()), record)
+        print(f'wrote {self.output}')
+        return 0
+
+
+@dataclass
+class Export:
+    """Write the actor for other programs, as TorchScript, and check that it does the same."""
+
+    checkpoint: CheckpointName
+    """A file, or the name of a shipped one."""
+    output: Annotated[Path, tyro.conf.arg(aliases=['-o'])]
+    """File to write, *.pt: frames (n, K, 3, R) m, newest last, to velocities (n, 2) m/s."""
+
+    def run(self) -> int:
+        """Write it."""
+        from shepherd_ros.policy.checkpoint import load_policy
+        from shepherd_ros.policy.export import export_actor
+
+        difference = export_actor(load_policy(self.checkpoint), self.output)
+        if difference > CLOSE:
+            raise UserError(
+                f'{self.output} differs by {difference} m/s from the policy: expected {CLOSE}'
+            )
+        print(f'wrote {self.output}; largest difference {difference:.1e} m/s')
+        return 0
+
+
+Verb = (
+    Annotated[Info, tyro.conf.subcommand('info')]
+    | Annotated[RandomWeights, tyro.conf.subcommand('random')]
+    | Annotated[Export, tyro.conf.subcommand('export')]
+)
+
+
+@dataclass
+class CheckpointVerbs:
+    """Look at checkpoints, make random ones, export the network."""
+
+    verb: Annotated[Verb, tyro.conf.arg(name='')]
+
+    def run(self) -> int:
+        """Run the verb."""
+        return self.verb.run()

@@ -1,0 +1,140 @@
+"""Verbs train ppo, bc and dagger: from the simulator or from bags to a checkpoint."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, make_dataclass, replace
+from pathlib import Path
+import shlex
+import sys
+from typing import Annotated, Any
+
+from shepherd_ros import __version__
+from shepherd_ros.cli import UserError
+from shepherd_ros.cli.arguments import arguments_of, configured
+from shepherd_ros.config import Config
+from shepherd_ros.learning.dagger import DaggerConfig, train_dagger
+from shepherd_ros.learning.memory import keep_memory
+from shepherd_ros.learning.run_folder import Run
+from shepherd_ros.learning.train_bc import BCConfig, train_bc
+from shepherd_ros.learning.train_ppo import PPORunConfig, train_ppo
+from shepherd_ros.policy.checkpoint import load_policy
+from shepherd_ros.policy.policy import Policy, PolicyConfig
+from shepherd_ros.sim.observation import ObservationConfig
+import torch
+import tyro
+
+# what works on a CPU; the defaults of the policy itself are the paper's
+LEARNS_WELL = ObservationConfig(align='goal', unit=10.0)
+FROM_SCRATCH = PolicyConfig(repeat=8, observation=replace(LEARNS_WELL, spacing=8))
+IMITATION = PolicyConfig(observation=replace(LEARNS_WELL, spacing=4))
+QUICK: dict[type[Config], dict[str, Any]] = {
+    PPORunConfig: {'samples': 300_000},
+    DaggerConfig: {'rounds': 30},
+    BCConfig: {'epochs': 2},
+}
+
+
+@dataclass
+class Common:
+    """What all training has in common."""
+
+    out: Path
+    """Folder of the run; a run that is there and was interrupted goes on."""
+    start: str = ''
+    """Checkpoint to start from: a file, or the name of a shipped one; random weights if empty."""
+    quick: bool = False
+    """About ten minutes instead of an hour, for a first result."""
+    threads: int = 1
+    """Threads of torch."""
+
+
+def verb(
+    kind: type[Config], policy: PolicyConfig, train: Callable[..., Any], bags: bool = False
+) -> type[Any]:
+    """Return the class of a verb, with the arguments of its configuration."""
+
+    def run(arguments: Any) -> int:
+        return _run(arguments, kind, train)
+
+    rows: list[Any] = []
+    if bags:
+        help_text = 'Bags, or folders of bags.'
+        positional = Annotated[tuple[Path, ...], tyro.conf.arg(help=help_text)]
+        rows.append(('bags', tyro.conf.Positional[positional], ()))
+    policy_arguments, config = arguments_of(policy), arguments_of(kind())
+    flat: Any = tyro.conf.OmitArgPrefixes
+    rows += [
+        ('policy', policy_arguments, field(default_factory=policy_arguments)),
+        ('run_', flat[config], field(default_factory=config)),
+    ]
+    names = {'__doc__': train.__doc__, 'run': run}
+    return make_dataclass(kind.__name__, rows, bases=(Common,), namespace=names, kw_only=True)
+
+
+def verbs() -> dict[str, type[Any]]:
+    """Return the verbs of training by name."""
+    return {
+        'ppo': verb(PPORunConfig, FROM_SCRATCH, train_ppo),
+        'dagger': verb(DaggerConfig, IMITATION, train_dagger),
+        'bc': verb(BCConfig, IMITATION, train_bc, bags=True),
+    }
+
+
+def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
+    """Train; return the exit code."""
+    if arguments.threads < 1:
+        raise UserError(f'--threads is {arguments.threads}: expected at least 1')
+    torch.set_num_threads(arguments.threads)
+    keep_memory()
+    config = configured(kind, arguments.run_)
+    if arguments.quick:
+        default = kind()
+        for name, value in QUICK[kind].items():
+            if getattr(config, name) == getattr(default, name):
+                config = replace(config, **{name: value})
+    torch.manual_seed(arguments.run_.seed)
+    policy = _policy(arguments)
+    record = {
+        'command': shlex.join(['shepherd', *sys.argv[1:]]),
+        'version': __version__,
+        'torch': torch.__version__,
+        'config': {
+            'policy': policy.config.to_dict(),
+            'run': config.to_dict(),
+            'start': arguments.start,
+        },
+    }
+    run = Run(arguments.out, record)
+    bags = [arguments.bags] if kind is BCConfig else []
+    result = train(policy, *bags, config, run, show)
+    if kind is BCConfig:
+        print(result.text())
+    print(f'the best policy is in {run.best}')
+    return 0
+
+
+def _policy(arguments: Any) -> Policy:
+    """Return the policy to train: new, or that of a checkpoint with another pace if asked for."""
+    wanted = configured(PolicyConfig, arguments.policy)
+    if not arguments.start:
+        return Policy(wanted)
+    start = load_policy(arguments.start)
+    policy = Policy(replace(start.config, repeat=wanted.repeat))
+    policy.load_state_dict(start.state_dict())
+    return policy
+
+
+def show(line: dict[str, Any]) -> None:
+    """Print where training is, and how well it goes."""
+    left = int(line['seconds_left'])
+    parts = [f'{line["updates"]:5d} updates', f'{line["samples"]:9,d} samples']
+    watched = [name for name in ('reward', 'loss', 'kl', 'std') if name in line]
+    parts += [f'{name} {line[name]:.4f}' for name in watched]
+    parts += [
+        f'{name} {line["judge/" + name]:.2f}'
+        for name in ('return', 'fraction_reached', 'fraction_in_goal')
+        if 'judge/' + name in line
+    ]
+    parts.append(f'{left // 3600}:{left // 60 % 60:02d}:{left % 60:02d} left')
+    print('  '.join(parts), flush=True)

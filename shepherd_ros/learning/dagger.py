@@ -1,0 +1,136 @@
+"""
+DAgger (Ross, Gordon and Bagnell 2011): learn what a teacher would do where the learner goes.
+
+The teacher sees the true state, the learner its lidar.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import time
+from typing import Any
+
+from shepherd_ros.config import Config, option, part
+from shepherd_ros.controllers import controller_type, make_controller
+from shepherd_ros.controllers.policy import LearnedConfig, LearnedController
+from shepherd_ros.learning.clone import CloneConfig, Cloner, Examples
+from shepherd_ros.learning.judge import judge
+from shepherd_ros.learning.rollout import Group, team_reward
+from shepherd_ros.learning.run_folder import Run
+from shepherd_ros.learning.task import TaskConfig
+from shepherd_ros.policy.checkpoint import save_policy
+from shepherd_ros.policy.network import fast_dtype
+from shepherd_ros.policy.policy import Policy
+from shepherd_ros.sim.observation import turned
+from shepherd_ros.sim.perception import perceive
+import torch
+
+
+@dataclass(frozen=True)
+class DaggerConfig(Config):
+    """A whole run; all are choices."""
+
+    seed: int = option(0, 'seed of weights, worlds and order', low=0)
+    teacher: str = option('drover', 'controller that is imitated')
+    reynolds_teacher: str = option('pierson', 'the same for a Reynolds flock')
+    rounds: int = option(60, 'rounds of driving and learning', low=1)
+    shown: int = option(6, 'first rounds, in which the teacher drives all worlds', low=0)
+    steps: int = option(40, 'steps of a round', low=1)
+    every: int = option(4, 'steps from one example to the next', low=1)
+    groups: int = option(12, 'groups of worlds; those of one share what is drawn', low=1)
+    worlds: int = option(8, 'worlds of a group', low=1)
+    taught_groups: int = option(1, 'groups that the teacher always drives', low=0)
+    capacity: int = option(200_000, 'examples that are kept, the newest', low=1)
+    judge_every: int = option(10, 'rounds from one evaluation to the next', low=1)
+    judge_episodes: int = option(32, 'episodes of an evaluation', low=2)
+    judge_steps: int = option(1000, 'steps of these episodes', low=1)
+    task: TaskConfig = part(TaskConfig)
+    clone: CloneConfig = part(CloneConfig)
+
+    def __post_init__(self) -> None:
+        """Check each field and the names of the teachers."""
+        super().__post_init__()
+        for name in (self.teacher, self.reynolds_teacher):
+            controller_type(name)
+
+
+class Lesson:
+    """A group of worlds in which a learner drives and a teacher says what it would do."""
+
+    def __init__(
+        self, config: DaggerConfig, policy: Policy, index: int, dtype: torch.dtype
+    ) -> None:
+        """Make the worlds and start their first episode, the shorter the lower the index."""
+        self.config, self.policy, self.dtype = config, policy, dtype
+        self.group = Group(config.task, index, config.worlds, config.seed)
+        self.full = config.task.episode_steps
+        self._begin(max(self.full * (index + 1) // config.groups, 1))
+
+    def _begin(self, steps: int) -> None:
+        """Start an episode with new memories."""
+        self.group.begin(steps)
+        world = self.group.config.world
+        reynolds = type(world.flock).__name__ == 'ReynoldsFlock'
+        name = self.config.reynolds_teacher if reynolds else self.config.teacher
+        self.teacher = make_controller(name, world)
+        self.learner = LearnedController(LearnedConfig(), world, self.policy, self.dtype)
+        self.taught = self.teacher.begin(self.group.state)
+        self.learned = self.learner.begin(self.group.state)
+
+    def run(self, steps: int, teacher_drives: bool, examples: Examples) -> None:
+        """Drive on for some steps and keep examples."""
+        apart = self.policy.config.decisions_apart
+        for t in range(steps):
+            state = self.group.state
+            label, self.taught = self.teacher.act(state, self.taught)
+            seen = perceive(state, self.group.config.noise_std)
+            command, self.learned = self.learner.act(seen, self.learned)
+            if t % self.config.every == 0:
+                present = state.shepherd_mask
+                frames = self.learned['history'][present][:, ::apart]
+                first = self.policy.first_ray(frames[:, -1])
+                wanted = turned(label[present], -first, frames.shape[-1])
+                examples.add(self.policy.scaled(frames), first, wanted)
+            self.group.advance(label if teacher_drives else command, 1, team_reward)
+            if self.group.left <= 0:
+                self._begin(self.full)
+
+
+def train_dagger(
+    policy: Policy,
+    config: DaggerConfig,
+    run: Run,
+    on_line: Callable[[dict[str, Any]], None] = lambda line: None,
+) -> Policy:
+    """Learn for the rounds; return the policy, which is changed in place."""
+    dtype = fast_dtype()
+    lessons = [Lesson(config, policy, i, dtype) for i in range(config.groups)]
+    examples = Examples(policy, config.capacity, dtype)
+    cloner = Cloner(policy, config.clone, config.seed)
+    begun = time.monotonic()
+    best = -1e9
+    for done in range(config.rounds):
+        for i, lesson in enumerate(lessons):
+            shown = done < config.shown or i < config.taught_groups
+            lesson.run(config.steps, shown, examples)
+        cloner.slow_down(1 - 0.95 * done / config.rounds)
+        loss = cloner.learn(examples)
+        seconds = time.monotonic() - begun
+        line: dict[str, Any] = {
+            'updates': done + 1,
+            'samples': (done + 1) * config.clone.batches * config.clone.minibatch,
+            'examples': len(examples),
+            'seconds': seconds,
+            'seconds_left': seconds / (done + 1) * (config.rounds - done - 1),
+            'loss': loss,
+        }
+        if (done + 1) % config.judge_every == 0 or done + 1 == config.rounds:
+            judged = judge(policy, config.task, config.judge_episodes, config.judge_steps, dtype)
+            line |= {f'judge/{name}': value for name, value in judged.items()}
+            if judged['score'] >= best:
+                best = judged['score']
+                save_policy(run.best, policy, run.record | {'progress': line, 'judged': judged})
+        run.write(line)
+        on_line(line)
+    return policy

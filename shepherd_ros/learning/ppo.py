@@ -1,0 +1,113 @@
+"""Proximal policy optimisation (Schulman et al. 2017): one update from a batch of decisions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from shepherd_ros.config import Config, option
+from shepherd_ros.learning.rollout import Batch, log_prob, Rollout
+from shepherd_ros.policy.policy import Policy
+import torch
+from torch import nn, Tensor
+
+
+@dataclass(frozen=True)
+class PPOConfig(Config):
+    """Options of the update; all are choices, as the paper gives none."""
+
+    gamma: float = option(0.96, 'discount per decision', low=0.0, high=1.0)
+    decay: float = option(0.95, 'lambda of the advantages', low=0.0, high=1.0)
+    clip: float = option(0.2, 'the probability ratio is cut to 1 -+ this', low=0.0, high=1.0)
+    epochs: int = option(3, 'times that each decision is learned from', low=1)
+    minibatch: int = option(1024, 'decisions per step of the optimiser', low=1)
+    actor_rate: float = option(4e-4, 'learning rate of the actor at first', low=0.0)
+    critic_rate: float = option(5e-4, 'learning rate of the critic at first', low=0.0)
+    entropy: float = option(0.002, 'weight of the entropy', low=0.0)
+    longest_gradient: float = option(0.5, 'gradients are cut to this norm', low=0.0)
+    target_kl: float = option(0.03, 'the actor rests for the update beyond this', low=0.0)
+
+
+def clipped_loss(ratio: Tensor, advantage: Tensor, clip: float) -> Tensor:
+    """Return the loss of the actor, before the mean; (n,) each."""
+    return -torch.minimum(ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage)
+
+
+def approximate_kl(log_ratio: Tensor) -> Tensor:
+    """Return an estimate of the mean divergence from old to new that is never negative; (n,)."""
+    return (log_ratio.exp() - 1 - log_ratio).mean()
+
+
+def explained_variance(guess: Tensor, target: Tensor) -> float:
+    """Return the share of the variance of the target that the guess explains."""
+    return float(1 - (target - guess).var() / target.var().clamp(min=1e-12))
+
+
+class Learner:
+    """A policy with an optimiser for each of its two networks."""
+
+    def __init__(self, policy: Policy, config: PPOConfig) -> None:
+        """Make the optimisers."""
+        self.policy, self.config = policy, config
+        self.actor = torch.optim.Adam(policy.actor.parameters(), config.actor_rate, eps=1e-5)
+        self.critic = torch.optim.Adam(policy.critic.parameters(), config.critic_rate, eps=1e-5)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return all that learning goes on from."""
+        parts: dict[str, Any] = {'policy': self.policy, 'actor': self.actor, 'critic': self.critic}
+        return {name: part.state_dict() for name, part in parts.items()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from what state_dict() gave."""
+        self.policy.load_state_dict(state['policy'])
+        self.actor.load_state_dict(state['actor'])
+        self.critic.load_state_dict(state['critic'])
+
+    def slow_down(self, share: float) -> None:
+        """Set the learning rates to a share of those at first."""
+        self.actor.param_groups[0]['lr'] = self.config.actor_rate * share
+        self.critic.param_groups[0]['lr'] = self.config.critic_rate * share
+
+    def update(
+        self, rollout: Rollout, batch: Batch, generator: torch.Generator, actor: bool = True
+    ) -> dict[str, float]:
+        """Learn from a batch, in place; return what to watch. actor False: critic only."""
+        config, size = self.config, len(batch.value)
+        gain = batch.advantage
+        target = gain + batch.value
+        gain = (gain - gain.mean()) / gain.std().clamp(min=1e-8)
+        seen: dict[str, list[float]] = {'actor_loss': [], 'critic_loss': [], 'kl': [], 'std': []}
+        acting = actor
+        for _ in range(config.epochs):
+            order = torch.randperm(size, generator=generator)
+            for chosen in order.split(config.minibatch):
+                if len(chosen) < config.minibatch // 2 and size > config.minibatch:
+                    continue  # a rest is a poor estimate
+                x = rollout.inputs(batch.rows[chosen], batch.first[chosen])
+                if acting:
+                    mean, std = self.policy.actor(x)
+                    log_ratio = log_prob(batch.action[chosen], mean, std) - batch.log_prob[chosen]
+                    kl = float(approximate_kl(log_ratio.detach()))
+                    seen['kl'].append(kl)
+                    if kl > config.target_kl:
+                        acting = False
+                    else:
+                        loss = clipped_loss(log_ratio.exp(), gain[chosen], config.clip).mean()
+                        seen['actor_loss'].append(float(loss.detach()))
+                        seen['std'].append(float(std.detach().mean()))
+                        loss = loss - config.entropy * std.log().sum(dim=-1).mean()
+                        self._descend(self.actor, self.policy.actor, loss)
+                error = (self.policy.critic(x) - target[chosen]).square().mean()
+                seen['critic_loss'].append(float(error.detach()))
+                self._descend(self.critic, self.policy.critic, error)
+        means = {name: sum(values) / len(values) for name, values in seen.items() if values}
+        return means | {
+            'actor_steps': float(len(seen['actor_loss'])),
+            'explained_variance': explained_variance(batch.value, target),
+        }
+
+    def _descend(self, optimiser: torch.optim.Adam, network: nn.Module, loss: Tensor) -> None:
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        nn.utils.clip_grad_norm_(network.parameters(), self.config.longest_gradient)
+        optimiser.step()

@@ -1,0 +1,250 @@
+"""Decisions of a policy in many worlds at once, with all that a learner wants to know of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any
+
+from shepherd_ros.learning.gae import advantages
+from shepherd_ros.learning.task import draw_environment, TaskConfig
+from shepherd_ros.policy.policy import Policy
+from shepherd_ros.sim.env import EnvConfig
+from shepherd_ros.sim.lidar import scan
+from shepherd_ros.sim.observation import turned
+from shepherd_ros.sim.perception import perceive
+from shepherd_ros.sim.reward import reward_terms
+from shepherd_ros.sim.spawn import spawn
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.transition import step
+import torch
+from torch import Tensor
+
+SEEDS_APART = 1_000_003  # from an episode of a group to its next
+
+
+Reward = Callable[[WorldState, EnvConfig], Tensor]  # of each shepherd after a step, (B, H)
+
+
+def team_reward(state: WorldState, config: EnvConfig) -> Tensor:
+    """Return the paper's reward, the same for all of a team."""
+    terms = reward_terms(state, config.reward, config.world.episode_steps)
+    total = torch.stack(list(terms.values())).sum(dim=0)
+    return total[:, None].expand(state.shepherd_mask.shape)
+
+
+class Group:
+    """Worlds of one configuration, which begin and end their episodes together."""
+
+    def __init__(self, task: TaskConfig, index: int, n_worlds: int, seed: int) -> None:
+        """Make the group; begin() starts its first episode."""
+        self.task, self.index, self.n_worlds, self.seed = task, index, n_worlds, seed
+        self.episode = 0
+
+    config: EnvConfig
+    state: WorldState
+    left: int  # steps until the episode is cut
+
+    def begin(self, steps: int) -> None:
+        """Start an episode of so many steps, in a world that is drawn from the task."""
+        seed = self.seed + SEEDS_APART * self.episode + 1000 * self.index
+        self.config = draw_environment(self.task, seed)
+        self.state = spawn(self.config.world, seed + torch.arange(self.n_worlds))
+        self.left, self.episode = steps, self.episode + 1
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the episode and where it is."""
+        state = {f.name: getattr(self.state, f.name) for f in fields(self.state)}
+        return {'episode': self.episode, 'left': self.left, 'state': state}
+
+    def load_state_dict(self, kept: dict[str, Any]) -> None:
+        """Go on from what state_dict() gave."""
+        self.episode = kept['episode'] - 1
+        self.begin(kept['left'])
+        self.state = WorldState(**kept['state'])
+
+    def look(self, policy: Policy) -> Tensor:
+        """Return what the lidars read now, (B, H, 3, R) m."""
+        return scan(perceive(self.state, self.config.noise_std), policy.config.lidar)
+
+    def advance(self, command: Tensor, repeat: int, reward: Reward) -> Tensor:
+        """Hold a command (B, H, 2) m/s for some steps; return the sum of the rewards, (B, H)."""
+        total = torch.zeros(command.shape[:-1])
+        for _ in range(repeat):
+            self.state = step(self.state, command, self.config.world)
+            total += reward(self.state, self.config)
+        self.left -= repeat
+        return total
+
+
+@dataclass
+class Batch:
+    """Decisions of all shepherds that were there, n of them in no order."""
+
+    rows: Tensor  # (n, K) int64: the frames of each in the store
+    first: Tensor  # (n,) int64: ray in front
+    action: Tensor  # (n, 2) m/s, relative to that ray
+    log_prob: Tensor  # (n,)
+    value: Tensor  # (n,)
+    advantage: Tensor  # (n,)
+
+
+def log_prob(action: Tensor, mean: Tensor, std: Tensor) -> Tensor:
+    """Return the logarithm of the normal density, up to a constant; (n, 2) -> (n,)."""
+    return (-0.5 * ((action - mean) / std).square() - std.log()).sum(dim=-1)
+
+
+class Rollout:
+    """
+    Groups of worlds and a store of what their shepherds saw.
+
+    Frames are kept once, scaled, in the dtype of the work; stacks are put together when they are
+    read, and do not reach over the start of an episode.
+    """
+
+    KEPT = ('store', 'first', 'begun', 'mask')
+
+    def __init__(
+        self,
+        task: TaskConfig,
+        policy: Policy,
+        groups: int,
+        worlds: int,
+        decisions: int,
+        seed: int,
+        dtype: torch.dtype,
+        reward: Reward = team_reward,
+    ) -> None:
+        """Start groups x worlds worlds; collect() makes that many decisions in each."""
+        self.reward = reward
+        repeat = policy.config.repeat
+        self.policy, self.dtype, self.decisions = policy, dtype, decisions
+        self.generator = torch.Generator().manual_seed(seed)
+        self.steps = task.episode_steps // repeat * repeat
+        self.groups = [Group(task, g, worlds, seed) for g in range(groups)]
+        self.before = policy.config.history - 1  # rows kept from earlier decisions
+        shape = (groups, self.before + decisions + 1, worlds, task.shepherds_max)
+        n_rays = policy.config.lidar.n_rays
+        self.store = torch.zeros(*shape, 3, n_rays, dtype=dtype)
+        self.first = torch.zeros(shape, dtype=torch.int64)
+        self.begun = torch.zeros(shape[:2], dtype=torch.int64)  # row in which the episode began
+        self.mask = torch.zeros(shape, dtype=torch.bool)
+        for g, group in enumerate(self.groups):
+            # the first episodes are of different length, so that not all end at once
+            cut = self.steps * (g + 1) // groups // repeat * repeat
+            group.begin(max(cut, repeat))
+            self._see(g, self.before, starts=True)
+
+    def _see(self, g: int, row: int, starts: bool = False) -> None:
+        """Put what a group sees now in a row of the store."""
+        ranges = self.groups[g].look(self.policy)
+        self.store[g, row] = self.policy.scaled(ranges).to(self.dtype)
+        self.first[g, row] = self.policy.first_ray(ranges)
+        self.begun[g, row] = row if starts else self.begun[g, row - 1]
+        self.mask[g, row] = self.groups[g].state.shepherd_mask
+
+    def rows_of(self, g: Tensor, row: Tensor, world: Tensor, shepherd: Tensor) -> Tensor:
+        """Return the rows (n, K) of the flat store that hold the frames of n decisions."""
+        config = self.policy.config
+        back = torch.arange(config.observation.n_frames - 1, -1, -1) * config.decisions_apart
+        seen = torch.maximum(row[:, None] - back, self.begun[g, row][:, None])
+        _, rows, worlds, team = self.mask.shape
+        return ((g[:, None] * rows + seen) * worlds + world[:, None]) * team + shepherd[:, None]
+
+    def inputs(self, rows: Tensor, first: Tensor) -> Tensor:
+        """Return the network's input (n, C, L) for rows (n, K) of the store."""
+        frames = self.store.flatten(0, 3)[rows]
+        return self.policy.arranged(frames, first)
+
+    def _present(self, row: int, groups: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return indices (n,) of the shepherds of some groups that are there in a row."""
+        g, world, shepherd = self.mask[groups, row].nonzero().unbind(dim=-1)
+        return groups[g], torch.full_like(g, row), world, shepherd
+
+    @torch.no_grad()
+    def _values(self, row: int, groups: Tensor) -> tuple[tuple[Tensor, ...], Tensor]:
+        """Return who is there in a row, and the critic's value for each."""
+        who = self._present(row, groups)
+        return who, self.policy.critic(self.inputs(self.rows_of(*who), self.first[who]))
+
+    @torch.no_grad()
+    def collect(self, gamma: float, decay: float, scale: float) -> tuple[Batch, dict[str, float]]:
+        """
+        Make the decisions; return them and means of the reward.
+
+        scale multiplies the reward, so that values are of order one.
+        """
+        policy, shape = self.policy, (*self.mask.shape[:1], self.decisions, *self.mask.shape[2:])
+        repeat, n_rays = policy.config.repeat, policy.config.lidar.n_rays
+        action = torch.zeros(*shape, 2)
+        density, value, next_value, reward = (torch.zeros(shape) for _ in range(4))
+        ended = torch.zeros(shape[:2], dtype=torch.bool)
+        everyone = torch.arange(len(self.groups))
+        for t in range(self.decisions):
+            row = self.before + t
+            who = self._present(row, everyone)
+            g, _, world, shepherd = who
+            at = (g, torch.full_like(g, t), world, shepherd)
+            first = self.first[who]
+            x = self.inputs(self.rows_of(*who), first)
+            mean, std = policy.actor(x)
+            chosen = mean + std * torch.randn(mean.shape, generator=self.generator)
+            action[at], density[at] = chosen, log_prob(chosen, mean, std)
+            value[at] = policy.critic(x)
+            command = torch.zeros(*self.mask[:, 0].shape, 2)
+            command[g, world, shepherd] = turned(chosen, first, n_rays)
+            for i, group in enumerate(self.groups):
+                reward[i, t] = group.advance(command[i], repeat, self.reward) * scale
+                self._see(i, row + 1)
+                ended[i, t] = group.left <= 0
+            over = ended[:, t].nonzero()[:, 0]
+            if len(over):
+                (g, _, world, shepherd), last = self._values(row + 1, over)
+                next_value[g, t, world, shepherd] = last
+                for i in over.tolist():
+                    self.groups[i].begin(self.steps)
+                    self._see(i, row + 1, starts=True)
+        (g, _, world, shepherd), last = self._values(self.before + self.decisions, everyone)
+        final = torch.zeros_like(value[:, 0])
+        final[g, world, shepherd] = last
+        following = torch.cat([value[:, 1:], final[:, None]], dim=1)
+        next_value = torch.where(ended[:, :, None, None], next_value, following)
+        gain = advantages(
+            reward.transpose(0, 1),
+            value.transpose(0, 1),
+            next_value.transpose(0, 1),
+            ended.T[..., None, None],
+            gamma,
+            decay,
+        ).transpose(0, 1)
+        rows = slice(self.before, self.before + self.decisions)
+        g, time, world, shepherd = self.mask[:, rows].nonzero().unbind(dim=-1)
+        at, who = (g, time, world, shepherd), (g, time + self.before, world, shepherd)
+        batch = Batch(
+            self.rows_of(*who), self.first[who], action[at], density[at], value[at], gain[at]
+        )
+        return batch, {'reward': float(reward.mean() / scale / repeat)}
+
+    def roll(self) -> None:
+        """Make room for the next decisions; the batch of the last ones is void afterwards."""
+        for kept in (self.store, self.first, self.mask):
+            kept[:, : self.before + 1] = kept[:, self.decisions :].clone()
+        begun = self.begun[:, self.decisions :] - self.decisions
+        self.begun[:, : self.before + 1] = begun.clamp(min=0)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return all that collecting goes on from, after roll()."""
+        rows = slice(0, self.before + 1)
+        return {
+            'groups': [group.state_dict() for group in self.groups],
+            'generator': self.generator.get_state(),
+            **{name: getattr(self, name)[:, rows].clone() for name in self.KEPT},
+        }
+
+    def load_state_dict(self, kept: dict[str, Any]) -> None:
+        """Go on from what state_dict() gave."""
+        for group, state in zip(self.groups, kept['groups'], strict=True):
+            group.load_state_dict(state)
+        self.generator.set_state(kept['generator'])
+        for name in self.KEPT:
+            getattr(self, name)[:, : self.before + 1] = kept[name]

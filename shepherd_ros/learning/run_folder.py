@@ -1,0 +1,74 @@
+"""The folder of a training run: what it was asked, how it goes, and where it can go on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import json
+from pathlib import Path
+import pickle
+from typing import Any
+
+from shepherd_ros.config import ConfigError
+import torch
+
+
+class Run:
+    """
+    A folder with run.json (what was asked), curve.jsonl, state.pt and best.safetensors.
+
+    TensorBoard reads its curves from the same folder.
+    """
+
+    def __init__(self, folder: Path, record: Mapping[str, Any]) -> None:
+        """Make the folder, or find the run that it holds; record is plain data."""
+        self.folder, self.record = folder, dict(record)
+        self.best = folder / 'best.safetensors'
+        self.state = folder / 'state.pt'
+        asked = folder / 'run.json'
+        folder.mkdir(parents=True, exist_ok=True)
+        if asked.exists():
+            before = json.loads(asked.read_text(encoding='utf-8'))
+            if before['config'] != json.loads(json.dumps(self.record['config'])):
+                raise ConfigError(
+                    f'{folder} holds a run with another configuration: expected the same to go '
+                    'on with it; choose another --out, or remove the folder'
+                )
+        else:
+            asked.write_text(json.dumps(self.record, indent=1), encoding='utf-8')
+        self._board: Any = None
+
+    def load(self) -> dict[str, Any] | None:
+        """Return the state that was saved last, cut the curve back to it; None: there is none."""
+        curve = self.folder / 'curve.jsonl'
+        if not self.state.exists():
+            curve.unlink(missing_ok=True)
+            return None
+        try:
+            state = torch.load(self.state, weights_only=True)
+        except (RuntimeError, pickle.UnpicklingError, EOFError, OSError) as error:
+            raise ConfigError(
+                f'{self.state} cannot be read ({error}): remove it to start anew'
+            ) from error
+        lines = curve.read_text(encoding='utf-8').splitlines()
+        kept = [x for x in lines if json.loads(x)['updates'] <= state['progress']['updates']]
+        curve.write_text(''.join(f'{x}\n' for x in kept), encoding='utf-8')
+        return dict(state)
+
+    def save(self, state: Mapping[str, Any]) -> None:
+        """Write a state; the one before stays until the new one is whole."""
+        beside = self.state.with_suffix('.part')
+        torch.save(dict(state), beside)
+        beside.replace(self.state)
+
+    def write(self, line: Mapping[str, Any]) -> None:
+        """Add a line to the curve, and its numbers to TensorBoard."""
+        with (self.folder / 'curve.jsonl').open('a', encoding='utf-8') as file:
+            file.write(json.dumps(dict(line)) + '\n')
+        if self._board is None:
+            from torch.utils.tensorboard import SummaryWriter
+
+            self._board = SummaryWriter(str(self.folder), purge_step=int(line['samples']))
+        for name, value in line.items():
+            if isinstance(value, float):
+                self._board.add_scalar(name, value, int(line['samples']))
+        self._board.flush()

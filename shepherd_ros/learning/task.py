@@ -1,0 +1,72 @@
+"""What is trained on: the worlds that training episodes are drawn from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+import random
+
+from shepherd_ros.config import Config, ConfigError, option
+from shepherd_ros.sim.env import EnvConfig
+from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.presets import training_world, world_preset
+from shepherd_ros.sim.world import WorldConfig
+
+
+@dataclass(frozen=True)
+class TaskConfig(Config):
+    """Ranges that each episode is drawn from, evenly; the defaults are the paper's training."""
+
+    preset: str = option('default', 'named setting of time step and flock')
+    flock: str = option(
+        'strombom', 'flock model, or both', choices=('strombom', 'reynolds', 'both')
+    )
+    sheep_min: int = option(100, 'fewest sheep', low=1, high=10_000)
+    sheep_max: int = option(100, 'most sheep', low=1, high=10_000)
+    shepherds_min: int = option(1, 'fewest shepherds', low=1, high=100)
+    shepherds_max: int = option(6, 'most shepherds', low=1, high=100)
+    goal_radius_min: float = option(4.0, 'smallest goal [m]', low=0.01)
+    goal_radius_max: float = option(8.0, 'largest goal [m]', low=0.01)
+    repulsion_min: float = option(2.0, 'least rho_a of a Strömbom flock', low=0.0)
+    repulsion_max: float = option(2.0, 'greatest rho_a of a Strömbom flock', low=0.0)
+    noise_max: float = option(0.0, 'noise on perceived positions is between 0 and this [m]', low=0)
+    episode_steps: int = option(400, 'steps after which a training episode is cut', low=1)
+
+    def __post_init__(self) -> None:
+        """Check each field and the order of the intervals."""
+        super().__post_init__()
+        for name in ('sheep', 'shepherds', 'goal_radius', 'repulsion'):
+            low, high = getattr(self, f'{name}_min'), getattr(self, f'{name}_max')
+            if low > high:
+                raise ConfigError(f'{name}_min is {low}: expected at most {name}_max, {high}')
+        world_preset(self.preset)
+
+
+def draw_environment(task: TaskConfig, seed: int) -> EnvConfig:
+    """Return the environment of one episode, the same for the same seed."""
+    draw = random.Random(seed)
+    # every number is drawn whether it is used or not, so that options do not shift each other
+    flock = draw.choice(('strombom', 'reynolds'))
+    sheep = draw.randint(task.sheep_min, task.sheep_max)
+    repulsion = draw.uniform(task.repulsion_min, task.repulsion_max)
+    noise = draw.uniform(0.0, task.noise_max)
+    base = base_world(task, flock if task.flock == 'both' else task.flock)
+    flock_config = base.flock
+    if isinstance(flock_config, StrombomFlock):
+        flock_config = replace(flock_config, sheep_repulsion=repulsion)
+    return EnvConfig(noise_std=noise, world=replace(base, n_sheep=sheep, flock=flock_config))
+
+
+def base_world(task: TaskConfig, flock: str) -> WorldConfig:
+    """Return the world of a flock model as training starts it."""
+    world = training_world(world_preset(task.preset, flock))
+    spawn = replace(
+        world.spawn,
+        fewest_shepherds=task.shepherds_min,
+        goal_radius_extra=task.goal_radius_max - task.goal_radius_min,
+    )
+    return replace(
+        world,
+        n_shepherds=task.shepherds_max,
+        goal_radius=task.goal_radius_min,
+        spawn=spawn,
+    )

@@ -1,0 +1,84 @@
+"""Behaviour cloning from bags: any number of them, of which one episode is in memory at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+import time
+from typing import Any
+
+from shepherd_ros.config import Config, ConfigError, option, part
+from shepherd_ros.learning.clone import CloneConfig, Cloner, Examples
+from shepherd_ros.learning.dataset import Report, stream_examples
+from shepherd_ros.learning.judge import judge
+from shepherd_ros.learning.run_folder import Run
+from shepherd_ros.learning.task import TaskConfig
+from shepherd_ros.policy.checkpoint import save_policy
+from shepherd_ros.policy.network import fast_dtype
+from shepherd_ros.policy.policy import Policy
+
+
+@dataclass(frozen=True)
+class BCConfig(Config):
+    """A whole run; all are choices."""
+
+    seed: int = option(0, 'seed of weights and order', low=0)
+    epochs: int = option(5, 'times that all bags are read', low=1)
+    capacity: int = option(100_000, 'examples that are mixed with each other', low=1)
+    reuse: float = option(1.0, 'times that an example is learned from in an epoch', low=0.01)
+    judge_episodes: int = option(32, 'episodes of the evaluation after an epoch', low=2)
+    judge_steps: int = option(1000, 'steps of these episodes', low=1)
+    task: TaskConfig = part(TaskConfig)
+    clone: CloneConfig = part(CloneConfig)
+
+
+def train_bc(
+    policy: Policy,
+    places: Sequence[Path],
+    config: BCConfig,
+    run: Run,
+    on_line: Callable[[dict[str, Any]], None] = lambda line: None,
+) -> Report:
+    """
+    Fit a policy to bags, in place; return what was found in them.
+
+    Examples go through a store from which batches are drawn, so that neighbours in time are
+    learned apart. Raises ConfigError if the bags hold no example.
+    """
+    dtype = fast_dtype()
+    examples = Examples(policy, config.capacity, dtype)
+    cloner = Cloner(policy, config.clone, config.seed)
+    begun, best, learned = time.monotonic(), -1e9, 0
+    report = Report()
+    for epoch in range(config.epochs):
+        report = Report()
+        cloner.slow_down(1 - 0.95 * epoch / config.epochs)
+        losses: list[float] = []
+        due = 0.0
+        for frames, first, wanted in stream_examples(places, policy, report, config.seed + epoch):
+            examples.add(frames, first, wanted)
+            due += config.reuse * len(first) / config.clone.minibatch
+            while due >= 1:
+                losses.append(cloner.take_step(examples))
+                learned, due = learned + config.clone.minibatch, due - 1
+        if not report.examples:
+            raise ConfigError(f'no step of the bags can be learned from:\n{report.text()}')
+        if not losses:  # fewer examples than one batch has
+            losses.append(cloner.take_step(examples))
+        judged = judge(policy, config.task, config.judge_episodes, config.judge_steps, dtype)
+        seconds = time.monotonic() - begun
+        line: dict[str, Any] = {
+            'updates': epoch + 1,
+            'samples': learned,
+            'seconds': seconds,
+            'seconds_left': seconds / (epoch + 1) * (config.epochs - epoch - 1),
+            'loss': sum(losses) / len(losses),
+            **{f'judge/{name}': value for name, value in judged.items()},
+        }
+        if judged['score'] >= best:
+            best = judged['score']
+            save_policy(run.best, policy, run.record | {'progress': line, 'judged': judged})
+        run.write(line)
+        on_line(line)
+    return report

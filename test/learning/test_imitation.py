@@ -1,0 +1,181 @@
+"""Learning from examples: from bags, from a teacher, and what is dropped on the way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from shepherd_ros.bags.episodes import Episode, iter_episodes
+from shepherd_ros.bags.reader import open_bag
+from shepherd_ros.config import ConfigError
+from shepherd_ros.controllers import make_controller
+from shepherd_ros.evaluation.record import record_episodes
+from shepherd_ros.learning.clone import CloneConfig, Cloner, Examples
+from shepherd_ros.learning.dagger import DaggerConfig, Lesson
+from shepherd_ros.learning.dataset import bag_folders, episode_examples, Report, stream_examples
+from shepherd_ros.learning.task import TaskConfig
+from shepherd_ros.policy.network import NetworkConfig
+from shepherd_ros.policy.policy import Policy, PolicyConfig
+from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.observation import ObservationConfig, turned
+from shepherd_ros.sim.world import WorldConfig
+import torch
+
+STEPS, SPACING = 12, 3
+WORLD = WorldConfig(n_sheep=15, n_shepherds=2, episode_steps=STEPS)
+OBSERVATION = ObservationConfig(spacing=SPACING, align='goal', unit=10.0)
+CONFIG = PolicyConfig(
+    observation=OBSERVATION, network=NetworkConfig(filters_1=8, filters_2=8, hidden=64)
+)
+
+
+def policy_of(config: PolicyConfig = CONFIG) -> Policy:
+    torch.manual_seed(3)
+    return Policy(config)
+
+
+@pytest.fixture(scope='module')
+def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp('bags')
+    record_episodes(EnvConfig(world=WORLD), make_controller('drover', WORLD), range(5, 7), out)
+    return out
+
+
+def episode_of(bags: Path) -> Episode:
+    return next(iter_episodes(open_bag(bags / 'episode_000005')))
+
+
+def test_examples_of_a_bag_are_what_the_environment_shows_and_the_controller_does(
+    bags: Path,
+) -> None:
+    env = ShepherdEnv(EnvConfig(world=WORLD, observation=OBSERVATION), 1)
+    law = make_controller('drover', WORLD)
+    stack, _ = env.reset(5)
+    memory = law.begin(env.perceived)
+    report = Report()
+    got = episode_examples(episode_of(bags), CONFIG, report, 'bag')
+    assert got is not None
+    assert len(got) == report.examples == report.steps == 2 * STEPS
+    assert not report.drops
+    frames = got.frames()
+    for t in range(STEPS):
+        command, memory = law.act(env.perceived, memory)
+        assert stack is not None
+        assert torch.equal(frames[2 * t : 2 * t + 2], stack[0])
+        torch.testing.assert_close(got.wanted[2 * t : 2 * t + 2], command[0])
+        stack, *_ = env.step(command)
+
+
+def test_steps_that_are_not_whole_are_dropped_by_name(bags: Path) -> None:
+    episode = episode_of(bags)
+    frames = list(episode.frames)
+    frames[4] = replace(frames[4], commands=[None, frames[4].commands[1]])
+    frames[7] = replace(frames[7], scans=[None, frames[7].scans[1]])
+    del frames[2]
+    report = Report()
+    got = episode_examples(replace(episode, frames=frames), CONFIG, report, 'bag')
+    assert got is not None
+    # shepherd 0 lacks the command of step 4, and scan 7 in the stacks of steps 7 and 10; step 2
+    # is not there for both, and neither are the stacks of steps 5 and 8
+    assert report.steps == 2 * (STEPS - 1)
+    assert report.drops == {'no command': 1, 'a scan is missing': 2 + 2 * 2}
+    assert report.first_drop['no command'] == 'bag, step 4, shepherd_0'
+    assert report.first_drop['a scan is missing'] == 'bag, step 5, shepherd_0'
+    assert len(got) == report.steps - 7 == report.examples
+    for words in ('no command', 'bag, step 4, shepherd_0', 'examples:  15'):
+        assert words in report.text()
+
+
+def test_bags_that_do_not_fit_the_policy_are_refused(bags: Path, tmp_path: Path) -> None:
+    other = replace(CONFIG, dt=0.25)
+    with pytest.raises(ConfigError, match=r'dt is 0.5 s, expected 0.25 s'):
+        list(stream_examples([bags], policy_of(other), Report()))
+    few = replace(CONFIG, lidar=replace(CONFIG.lidar, n_rays=256))
+    with pytest.raises(ConfigError, match='scans have 512 rays, expected 256'):
+        list(stream_examples([bags], policy_of(few), Report()))
+    with pytest.raises(ConfigError, match='expected a bag or a folder of bags'):
+        bag_folders([tmp_path])
+
+
+def test_bags_come_in_an_order_of_the_seed_and_all_of_them(bags: Path) -> None:
+    assert [path.name for path in bag_folders([bags])] == ['episode_000005', 'episode_000006']
+    orders = set()
+    for seed in range(8):
+        report = Report()
+        rows = stream_examples([bags], policy_of(), report, seed)
+        sums = [float(wanted.sum()) for _, _, wanted in rows]
+        assert (report.bags, report.episodes) == (2, 2)
+        orders.add(tuple(sums))
+    assert len(orders) == 2
+
+
+def test_wanted_actions_are_relative_to_the_ray_in_front(bags: Path) -> None:
+    got = episode_examples(episode_of(bags), CONFIG, Report(), 'bag')
+    assert got is not None
+    (_, first, wanted), _ = stream_examples([bags], policy_of(), Report())
+    assert (first != 0).any()
+    torch.testing.assert_close(turned(wanted, first, 512), got.wanted, atol=1e-5, rtol=0)
+
+
+def test_a_store_keeps_the_newest_examples() -> None:
+    policy = policy_of()
+    examples = Examples(policy, 5, torch.float32)
+    frames = torch.zeros(3, 3, 3, 512)
+    for start in (0, 3, 6):
+        wanted = torch.arange(start, start + 3.0)[:, None].expand(3, 2)
+        examples.add(frames + start, torch.arange(start, start + 3), wanted)
+    assert len(examples) == 5
+    assert sorted(examples.first.tolist()) == [4, 5, 6, 7, 8]
+    generator = torch.Generator().manual_seed(0)
+    newest = examples.draw(200, generator, newest=2)
+    assert set(examples.first[newest].tolist()) == {7, 8}
+    assert set(examples.first[examples.draw(200, generator)].tolist()) == {4, 5, 6, 7, 8}
+
+
+def test_a_cloned_policy_learns_one_episode_by_heart(bags: Path) -> None:
+    policy = policy_of()
+    examples = Examples(policy, 100, torch.float32)
+    cloner = Cloner(policy, CloneConfig(rate=3e-3, minibatch=24, batches=150, newest=24), 0)
+    for row in stream_examples([bags / 'episode_000005'], policy, Report()):
+        examples.add(*row)
+    spread = float(examples.wanted[: len(examples)].var(dim=0).sum())
+    cloner.learn(examples)
+    with torch.no_grad():
+        left = float(cloner.loss(examples, torch.arange(len(examples))))
+    assert left < 0.02 * spread
+
+
+def test_a_lesson_keeps_what_the_teacher_would_do_where_the_learner_is() -> None:
+    policy = policy_of()
+    task = TaskConfig(sheep_min=5, sheep_max=5, shepherds_max=2, episode_steps=50, noise_max=0.4)
+    config = DaggerConfig(task=task, worlds=3, groups=1, every=1)
+    lesson = Lesson(config, policy, 0, torch.float32)
+    examples = Examples(policy, 100, torch.float32)
+    start = lesson.group.state
+    law = make_controller('drover', lesson.group.config.world)
+    label, _ = law.act(start, law.begin(start))
+    lesson.run(1, False, examples)
+    expected = label[start.shepherd_mask]
+    count = len(expected)
+    got = turned(examples.wanted[:count], examples.first[:count], 512)
+    torch.testing.assert_close(got, expected, atol=1e-5, rtol=0)
+    # the learner drove
+    frames = examples.frames[:count]
+    action = policy.actor(policy.arranged(frames, examples.first[:count]))[0]
+    moved = (lesson.group.state.shepherds - start.shepherds)[start.shepherd_mask] / 0.5
+    turned_action = turned(action, examples.first[:count], 512).detach()
+    torch.testing.assert_close(moved, turned_action, atol=1e-4, rtol=0)
+    # the teacher drives
+    before = lesson.group.state
+    taught = lesson.taught
+    label, _ = law.act(before, taught)
+    lesson.run(1, True, examples)
+    moved = (lesson.group.state.shepherds - before.shepherds)[before.shepherd_mask] / 0.5
+    np.testing.assert_allclose(moved, label[before.shepherd_mask], atol=1e-4)
+
+
+def test_a_teacher_that_nobody_knows_is_refused() -> None:
+    with pytest.raises(ConfigError, match="controller is 'nobody'"):
+        DaggerConfig(teacher='nobody')

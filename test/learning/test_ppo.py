@@ -1,0 +1,117 @@
+"""The pieces of PPO on numbers worked out by hand, and a problem that it has to solve."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from shepherd_ros.learning.gae import advantages
+from shepherd_ros.learning.ppo import (
+    approximate_kl,
+    clipped_loss,
+    explained_variance,
+    Learner,
+    PPOConfig,
+)
+from shepherd_ros.learning.rollout import log_prob, Rollout
+from shepherd_ros.learning.task import TaskConfig
+from shepherd_ros.policy.network import NetworkConfig
+from shepherd_ros.policy.policy import Policy, PolicyConfig
+from shepherd_ros.sim.env import EnvConfig
+from shepherd_ros.sim.lidar import LidarConfig
+from shepherd_ros.sim.observation import ObservationConfig
+from shepherd_ros.sim.state import WorldState
+import torch
+from torch import Tensor
+
+
+def column(*values: float) -> Tensor:
+    return torch.tensor(values, dtype=torch.float32)[:, None]
+
+
+def test_advantages_by_hand() -> None:
+    # gamma 1/2, lambda 1/2: errors are 1 + 4/2 - 2 = 1, 0 + 8/2 - 4 = 0, 2 + 2/2 - 8 = -5
+    got = advantages(
+        column(1, 0, 2), column(2, 4, 8), column(4, 8, 2), column(0, 0, 0).bool(), 0.5, 0.5
+    )
+    assert got[:, 0].tolist() == [1 + (0 - 5 / 4) / 4, -5 / 4, -5]
+
+
+def test_advantages_do_not_reach_over_an_end_which_is_bootstrapped() -> None:
+    reward, value, ended = column(1, 1, 1), column(0, 0, 0), column(0, 1, 0).bool()
+    # the last value of the first episode is 6, that of the running one 2
+    following = column(0, 6, 2)
+    got = advantages(reward, value, following, ended, 0.5, 1.0)
+    assert got[:, 0].tolist() == [1 + 0.5 * 4, 1 + 3, 1 + 1]
+
+
+def test_with_lambda_one_an_advantage_is_the_discounted_return_less_the_value() -> None:
+    torch.manual_seed(0)
+    reward, value, last = torch.randn(6, 3), torch.randn(6, 3), torch.randn(1, 3)
+    following = torch.cat([value[1:], last])
+    got = advantages(reward, value, following, torch.zeros(6, 1).bool(), 0.9, 1.0)
+    for t in range(6):
+        powers = 0.9 ** torch.arange(6 - t)
+        returned = (powers[:, None] * reward[t:]).sum(dim=0) + 0.9 ** (6 - t) * last[0]
+        torch.testing.assert_close(got[t], returned - value[t], atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ('ratio', 'advantage', 'loss'),
+    [(1.0, 2.0, -2.0), (1.5, 2.0, -2.4), (0.5, 2.0, -1.0), (1.5, -2.0, 3.0), (0.5, -2.0, 1.6)],
+)
+def test_the_clipped_loss_by_hand(ratio: float, advantage: float, loss: float) -> None:
+    got = clipped_loss(torch.tensor([ratio]), torch.tensor([advantage]), 0.2)
+    assert got.item() == pytest.approx(loss)
+
+
+def test_the_divergence_of_two_normals_is_estimated() -> None:
+    generator = torch.Generator().manual_seed(0)
+    mean, std, other = torch.zeros(1, 2), torch.ones(1, 2), torch.tensor([[0.3, 0.0]])
+    action = torch.randn(200_000, 2, generator=generator)
+    ratio = log_prob(action, other, std) - log_prob(action, mean, std)
+    assert float(approximate_kl(ratio)) == pytest.approx(0.3**2 / 2, rel=0.05)
+    assert float(approximate_kl(torch.zeros(3))) == 0.0
+
+
+def test_the_density_of_a_normal_by_hand() -> None:
+    got = log_prob(
+        torch.tensor([[1.0, 2.0]]), torch.tensor([[0.0, 2.0]]), torch.tensor([[2.0, 0.5]])
+    )
+    assert got.item() == pytest.approx(-1 / 8 - math.log(2.0) - math.log(0.5))
+
+
+def test_explained_variance_is_one_for_a_perfect_guess_and_zero_for_the_mean() -> None:
+    target = torch.tensor([1.0, 2.0, 6.0])
+    assert explained_variance(target, target) == 1.0
+    assert explained_variance(torch.full((3,), 3.0), target) == pytest.approx(0.0, abs=1e-6)
+
+
+def nearness(state: WorldState, config: EnvConfig) -> Tensor:
+    """Return a reward that tells each shepherd to go to the goal, (B, H)."""
+    return -torch.linalg.vector_norm(state.shepherds - state.goal[:, None], dim=-1) / 10
+
+
+def test_ppo_learns_to_go_to_the_goal() -> None:
+    torch.manual_seed(1)
+    policy = Policy(
+        PolicyConfig(
+            repeat=4,
+            lidar=LidarConfig(n_rays=96),
+            observation=ObservationConfig(n_frames=1, spacing=4, unit=10.0, align='goal'),
+            network=NetworkConfig(filters_1=8, filters_2=8, hidden=32),
+        )
+    )
+    task = TaskConfig(sheep_min=1, sheep_max=1, shepherds_min=2, shepherds_max=2, episode_steps=96)
+    config = PPOConfig(gamma=0.9, minibatch=256, actor_rate=1e-3, critic_rate=1e-3)
+    rollout = Rollout(task, policy, 1, 16, 24, 0, torch.float32, nearness)
+    learner, generator = Learner(policy, config), torch.Generator().manual_seed(2)
+    rewards = []
+    for _ in range(25):
+        batch, seen = rollout.collect(config.gamma, config.decay, 0.25)
+        learner.update(rollout, batch, generator)
+        rollout.roll()
+        rewards.append(seen['reward'])
+    before, after = sum(rewards[:4]) / 4, sum(rewards[-4:]) / 4
+    assert before < -1.0  # ten metres and more away
+    assert after > before / 2, (before, after)

@@ -1,0 +1,155 @@
+"""What a rollout gives to the learner is what happened in the environment."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from shepherd_ros.config import ConfigError
+from shepherd_ros.learning.ppo import Learner, PPOConfig
+from shepherd_ros.learning.rollout import Rollout
+from shepherd_ros.learning.task import draw_environment, TaskConfig
+from shepherd_ros.policy.network import NetworkConfig
+from shepherd_ros.policy.policy import Policy, PolicyConfig
+from shepherd_ros.sim.env import ShepherdEnv
+from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
+from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.lidar import LidarConfig
+from shepherd_ros.sim.observation import ObservationConfig, turned
+import torch
+from torch import Tensor
+
+WORLDS, DECISIONS, STEPS = 3, 5, 12
+TASK = TaskConfig(sheep_min=5, sheep_max=9, shepherds_max=3, episode_steps=STEPS, noise_max=0.5)
+
+
+def policy_of(repeat: int = 2, spacing: int = 4, **observation: object) -> Policy:
+    torch.manual_seed(7)
+    return Policy(
+        PolicyConfig(
+            repeat=repeat,
+            lidar=LidarConfig(n_rays=64),
+            observation=ObservationConfig(spacing=spacing, unit=10.0, **observation),  # type: ignore[arg-type]
+            network=NetworkConfig(filters_1=2, filters_2=2, hidden=8),
+        )
+    )
+
+
+def rollout_of(policy: Policy, groups: int = 2) -> Rollout:
+    return Rollout(TASK, policy, groups, WORLDS, DECISIONS, 3, torch.float32)
+
+
+@pytest.mark.parametrize(('repeat', 'spacing'), [(1, 1), (2, 4), (3, 3)])
+@pytest.mark.parametrize('align', ['world', 'goal'])
+def test_inputs_rewards_and_values_are_those_of_the_environment(
+    repeat: int, spacing: int, align: str
+) -> None:
+    policy = policy_of(repeat, spacing, align=align)
+    rollout = rollout_of(policy, groups=1)
+    group = rollout.groups[0]
+    config = group.config
+    env_config = replace(
+        config,
+        world=replace(config.world, episode_steps=STEPS),
+        lidar=policy.config.lidar,
+        observation=policy.config.observation,
+    )
+    env = ShepherdEnv(env_config, WORLDS)
+    stack, _ = env.reset(int(group.state.seed[0]))
+    scale = 7.0
+    batch, _ = rollout.collect(0.5, 0.0, scale)
+    masks = rollout.mask[0, rollout.before : rollout.before + DECISIONS]
+    place = 0
+    for t in range(min(DECISIONS, STEPS // repeat)):
+        mask = masks[t]
+        count = int(mask.sum())
+        chosen = slice(place, place + count)
+        place += count
+        assert stack is not None
+        frames = stack[mask]
+        first = policy.first_ray(frames[:, -1])
+        x = policy.arranged(policy.scaled(frames), first)
+        torch.testing.assert_close(rollout.inputs(batch.rows[chosen], batch.first[chosen]), x)
+        value = policy.critic(x)
+        torch.testing.assert_close(batch.value[chosen], value, atol=1e-5, rtol=1e-5)
+        command = torch.zeros(WORLDS, TASK.shepherds_max, 2)
+        command[mask] = turned(batch.action[chosen], first, 64)
+        total = torch.zeros(WORLDS)
+        for _ in range(repeat):
+            stack, reward, _, _, info = env.step(command)
+            total += reward
+        if 'final_observation' in info:
+            stack = info['final_observation']
+        assert stack is not None
+        # with lambda 0 the advantage is the error of one decision; the end is bootstrapped
+        later = stack[mask]
+        after = policy.critic(
+            policy.arranged(policy.scaled(later), policy.first_ray(later[:, -1]))
+        )
+        # the environment's rewards are per episode step, and this one has fewer steps
+        gained = (total * STEPS / config.world.episode_steps * scale)[:, None].expand(mask.shape)
+        error = gained[mask] + 0.5 * after - value
+        torch.testing.assert_close(batch.advantage[chosen], error, atol=1e-4, rtol=1e-4)
+
+
+def test_frames_do_not_reach_over_the_start_of_an_episode() -> None:
+    policy = policy_of(repeat=2, spacing=4)
+    rollout = rollout_of(policy)
+    for _ in range(4):
+        batch, _ = rollout.collect(0.9, 0.9, 1.0)
+        rows = rollout.mask.shape[1]
+        per_row = WORLDS * TASK.shepherds_max
+        group, row = batch.rows // (rows * per_row), batch.rows // per_row % rows
+        newest = row[:, -1]
+        begun = rollout.begun[group[:, -1], newest]
+        assert (row >= begun[:, None]).all()
+        back = torch.tensor([4, 2, 0])
+        assert torch.equal(row, torch.maximum(newest[:, None] - back, begun[:, None]))
+        rollout.roll()
+
+
+def numbers(policy: Policy, rollout: Rollout, updates: int) -> list[Tensor]:
+    """Train on; return what came of it."""
+    learner, generator = Learner(policy, PPOConfig(minibatch=64)), torch.Generator().manual_seed(1)
+    for _ in range(updates):
+        batch, _ = rollout.collect(0.9, 0.9, 1.0)
+        learner.update(rollout, batch, generator)
+        rollout.roll()
+    return [p.detach().clone() for p in policy.parameters()] + [rollout.groups[0].state.sheep]
+
+
+def test_the_same_seed_gives_the_same_training() -> None:
+    one, two = policy_of(), policy_of()
+    for a, b in zip(
+        numbers(one, rollout_of(one), 4), numbers(two, rollout_of(two), 4), strict=True
+    ):
+        assert torch.equal(a, b)
+
+
+def test_worlds_are_drawn_from_the_task() -> None:
+    task = TaskConfig(
+        flock='both', sheep_min=10, sheep_max=200, repulsion_min=0.5, repulsion_max=4.0,
+        noise_max=2.0, goal_radius_min=3.0, goal_radius_max=9.0, shepherds_min=2, shepherds_max=5,
+    )  # fmt: skip
+    drawn = [draw_environment(task, seed) for seed in range(400)]
+    assert draw_environment(task, 17) == drawn[17]
+    kinds = {type(env.world.flock) for env in drawn}
+    assert kinds == {StrombomFlock, ReynoldsFlock}
+    sheep = [env.world.n_sheep for env in drawn]
+    assert (min(sheep), max(sheep)) >= (10, 180)
+    assert max(sheep) <= 200
+    repulsion = [
+        env.world.flock.sheep_repulsion
+        for env in drawn
+        if isinstance(env.world.flock, StrombomFlock)
+    ]
+    assert min(repulsion) < 1 < 3.5 < max(repulsion)
+    assert all(0 <= env.noise_std <= 2 for env in drawn)
+    spawn = drawn[0].world.spawn
+    assert (drawn[0].world.n_shepherds, spawn.fewest_shepherds) == (5, 2)
+    assert (drawn[0].world.goal_radius, spawn.goal_radius_extra) == (3.0, 6.0)
+
+
+def test_a_task_whose_limits_are_the_wrong_way_round_is_refused() -> None:
+    with pytest.raises(ConfigError, match='sheep_min is 300: expected at most sheep_max, 100'):
+        TaskConfig(sheep_min=300)
