@@ -12,6 +12,7 @@ from shepherd_ros.nodes.flock_node import FlockSim
 from shepherd_ros.nodes.heuristic_node import HeuristicNode
 from shepherd_ros.nodes.lidar_node import LidarNode
 from shepherd_ros.nodes.metrics_node import MetricsNode
+from shepherd_ros.nodes.policy_node import PolicyNode
 from shepherd_ros.stack import Process
 
 NODES: dict[str, Callable[..., ShepherdNode]] = {
@@ -19,6 +20,7 @@ NODES: dict[str, Callable[..., ShepherdNode]] = {
     'lidar': LidarNode,
     'metrics': MetricsNode,
     **{name: partial(HeuristicNode, name) for name in CONTROLLERS},
+    'policy': PolicyNode,
 }
 
 

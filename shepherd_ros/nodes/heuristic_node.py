@@ -105,6 +105,11 @@ def pierson() -> int:
     return run(lambda: HeuristicNode('pierson'), 'pierson', pierson.__doc__ or '')
 
 
+def drover() -> int:
+    """Run the drover, which lets go of the flock when it is home."""
+    return run(lambda: HeuristicNode('drover'), 'drover', drover.__doc__ or '')
+
+
 def idle() -> int:
     """Run the controller that stands still, a floor to compare with."""
     return run(lambda: HeuristicNode('idle'), 'idle', idle.__doc__ or '')

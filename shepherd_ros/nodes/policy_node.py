@@ -1,0 +1,183 @@
+"""The node of a learned policy: scans in, velocities out."""
+
+from __future__ import annotations
+
+from collections import deque
+from time import perf_counter
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+import numpy as np
+from rclpy.publisher import Publisher
+from shepherd_ros.bags.encode import encode_command, encode_twist
+from shepherd_ros.config import ConfigError
+from shepherd_ros.controllers.policy import action_draws, LearnedConfig, require_same_world
+from shepherd_ros.episode import Episode
+from shepherd_ros.nodes.base import ERROR, OK, ShepherdNode, WARN
+from shepherd_ros.nodes.parameters import declare_config
+from shepherd_ros.nodes.runtime import run
+from shepherd_ros.nodes.scan_listener import ScanListener
+from shepherd_ros.policy import pilot
+from shepherd_ros.policy.checkpoint import load_policy
+from shepherd_ros.policy.pilot import Memory
+import torch
+from torch import Tensor
+
+TIMED = 1000  # last answers whose latency is kept
+
+
+class PolicyNode(ShepherdNode):
+    """Answers the scans of its shepherds, all in one batch, with a velocity for each."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Load the checkpoint and wait for an episode that it fits."""
+        super().__init__('policy', **kwargs)
+        torch.set_num_threads(1)
+        self.options = declare_config(self, LearnedConfig())
+        self.shepherd_ids: list[int] = self.option(
+            'shepherd_ids', [0], 'shepherds to command, each by its own scans'
+        )
+        if min(self.shepherd_ids) < 0 or len(set(self.shepherd_ids)) < len(self.shepherd_ids):
+            raise ConfigError(
+                f'shepherd_ids is {self.shepherd_ids}: expected each shepherd once, counted '
+                'from 0, such as [0, 1, 2]'
+            )
+        self.stamped: bool = self.option(
+            'stamped', True, 'publish TwistStamped; false: Twist, which has no stamp'
+        )
+        self.stale_after: float = self.option(
+            'stale_after',
+            1.0,
+            'realtime: without scans for so long [s], wall time, zero is commanded',
+            low=0.0,
+        )
+        self.policy = load_policy(self.options.checkpoint)
+        self.episode: Episode | None = None
+        self.present: list[int] = []
+        self.refused = ''
+        self.memory: Memory = {}
+        self.last: tuple[int, Tensor] | None = None
+        self.heard = self.wall()
+        self.stale = False
+        self.answers = 0
+        self.latency: deque[float] = deque(maxlen=TIMED)  # [s]
+        self.outputs: dict[int, Publisher] = {}
+        self.scans = ScanListener(self, self.policy.config.lidar, self.on_scans)
+        self.listen('episode', self._on_episode)
+        self.timer(0.1, self._watch)
+
+    def _on_episode(self, message: Any) -> None:
+        try:
+            episode = Episode.from_json(message.data)
+        except ConfigError as error:
+            self.get_logger().error(str(error))
+            return
+        if episode != self.episode:
+            self.episode = episode
+            self._begin(episode)
+
+    def _begin(self, episode: Episode) -> None:
+        """Start an episode with empty stacks, or refuse it."""
+        self.last, self.refused = None, ''
+        self.present = [h for h in self.shepherd_ids if h < episode.n_shepherds]
+        strangers = sorted(set(self.shepherd_ids) - set(self.present))
+        if strangers:
+            self.get_logger().error(
+                f'shepherd_ids has {strangers}: expected 0 to {episode.n_shepherds - 1}, as this '
+                'episode has no others; they get no commands'
+            )
+        try:
+            require_same_world(self.policy, episode.world)
+        except ConfigError as error:
+            self.refused, self.present = str(error), []
+            self.get_logger().error(f'this episode is not driven: {error}')
+        for h in [h for h in self.outputs if h not in self.present]:
+            self.destroy_publisher(self.outputs.pop(h))
+        kind = '' if self.stamped else 'geometry_msgs/msg/Twist'
+        for h in [h for h in self.present if h not in self.outputs]:
+            self.outputs[h] = self.advertise('shepherd_{h}/cmd_vel', h, kind)
+        self.scans.listen_to(self.present)
+
+    def on_scans(self, ns: int, ranges: dict[int, np.ndarray]) -> None:
+        """Answer the scans of a stamp; the same stamp again gets the same answer."""
+        begun, self.heard, self.stale = perf_counter(), self.wall(), False
+        episode = self.episode
+        if episode is None or not episode.has(ns):
+            return
+        if self.last is None or ns != self.last[0]:
+            if self.last is None or ns < self.last[0]:
+                self.memory = pilot.begin(self.policy, (), len(self.present))
+            self.last = (ns, self._decide(ns, ranges, episode))
+        self._publish(*self.last)
+        self.answers += 1
+        self.latency.append(perf_counter() - begun)
+
+    def _decide(self, ns: int, ranges: dict[int, np.ndarray], episode: Episode) -> Tensor:
+        """Return velocities (H, 2) m/s, zero for those whose scans are not all there."""
+        there = torch.tensor([h in ranges for h in self.present])
+        newest = self.memory['history'][:, -1].clone()  # stands in for what is missing
+        for i, h in enumerate(self.present):
+            if h in ranges:
+                newest[i] = torch.from_numpy(ranges[h])
+
+        def draws() -> Tensor:
+            seed, step = torch.tensor(episode.seed), torch.tensor(episode.step_of(ns))
+            return action_draws(seed, step, episode.n_shepherds)[self.present]
+
+        command, self.memory = pilot.fly(
+            self.policy,
+            lambda: newest,
+            torch.ones_like(there),
+            self.memory,
+            episode.world.shepherd_speed,
+            draws if self.options.sample else None,
+        )
+        return torch.where(there[:, None], command, 0.0)
+
+    def _publish(self, ns: int, command: Tensor) -> None:
+        for h, (x, y) in zip(self.present, command.tolist(), strict=True):
+            stamped = encode_command(ns, self.frame_id, x, y)
+            self.outputs[h].publish(stamped if self.stamped else encode_twist(x, y))
+
+    def _watch(self) -> None:
+        """In real time, stop the shepherds when their scans stop."""
+        episode, last = self.episode, self.last
+        if episode is None or episode.mode == 'lockstep' or last is None or self.stale:
+            return
+        if self.wall() - self.heard > self.stale_after:
+            self.stale = True
+            self.get_logger().warning(
+                f'no scans for {self.stale_after} s: commanding zero until they come again'
+            )
+            self._publish(last[0], torch.zeros_like(last[1]))
+
+    def diagnose(self) -> list[DiagnosticStatus]:
+        """Return whether it drives, how long an answer takes, and what was wrong with scans."""
+        level, message = OK, 'commanding'
+        if self.refused:
+            level, message = ERROR, f'checkpoint does not fit: {self.refused}'
+        elif self.stale:
+            level, message = WARN, 'scans have stopped: commanding zero'
+        elif self.last is None:
+            level, message = WARN, 'no scans heard yet'
+        elif self.scans.faults:
+            level, message = WARN, 'some scans were missing or not fit to use'
+        times = sorted(self.latency) or [0.0]
+        return [
+            self.status(
+                'policy',
+                level,
+                message,
+                checkpoint=self.options.checkpoint,
+                answers=self.answers,
+                shepherds=self.present,
+                latency_ms_median=round(1e3 * times[len(times) // 2], 3),
+                latency_ms_p99=round(1e3 * times[int(0.99 * (len(times) - 1))], 3),
+                **{f'scans_{kind}': count for kind, count in self.scans.faults.items()},
+            )
+        ]
+
+
+def main() -> int:
+    """Run a learned policy for one shepherd, or for several by parameter shepherd_ids."""
+    return run(PolicyNode, 'policy', main.__doc__ or '')

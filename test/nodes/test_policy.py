@@ -1,0 +1,191 @@
+"""The node of a learned policy: the same as in the environment, and careful with bad scans."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import math
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import TwistStamped
+from nodes.process import assert_same_states, Graph, nanoseconds
+import pytest
+from sensor_msgs.msg import LaserScan
+from shepherd_ros.controllers.policy import LearnedConfig, LearnedController
+from shepherd_ros.policy.checkpoint import save_policy
+from shepherd_ros.policy.network import NetworkConfig
+from shepherd_ros.policy.policy import Policy, PolicyConfig
+from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.observation import ObservationConfig
+from shepherd_ros.sim.presets import world_preset
+from shepherd_ros.sim.state import WorldState
+import torch
+
+STEPS = 50
+CONFIG = PolicyConfig(
+    repeat=2,
+    observation=ObservationConfig(spacing=4, align='goal', unit=10.0),
+    network=NetworkConfig(filters_1=8, filters_2=8, hidden=32),
+)
+
+
+@pytest.fixture(scope='module')
+def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return a checkpoint whose shepherds are in lively motion."""
+    torch.manual_seed(11)
+    policy = Policy(CONFIG)
+    policy.actor.head.weight.data *= 60.0
+    path = tmp_path_factory.mktemp('policy') / 'lively.safetensors'
+    save_policy(path, policy, {})
+    return str(path)
+
+
+def expected_states(checkpoint: str, sample: bool, episodes: int = 1) -> list[WorldState]:
+    """Return all states of episodes in a row, by env.step alone."""
+    world = replace(world_preset(), episode_steps=STEPS)
+    env = ShepherdEnv(EnvConfig(world=world), 1, lidar=False)
+    env.reset(0)
+    law = LearnedController(LearnedConfig(checkpoint=checkpoint, sample=sample), world)
+    states = []
+    for _ in range(episodes):
+        memory = law.begin(env.perceived)
+        states.append(env.state)
+        for _ in range(STEPS):
+            command, memory = law.act(env.perceived, memory)
+            info = env.step(command)[-1]
+            states.append(info.get('final_state', env.state))
+    return [state.world(0) for state in states]
+
+
+@pytest.mark.parametrize('sample', [False, True])
+def test_fifty_steps_over_topics_are_fifty_calls_of_env_step(
+    graph: Graph, checkpoint: str, sample: bool
+) -> None:
+    states = expected_states(checkpoint, sample, episodes=2)
+    moved = (states[20].shepherds - states[0].shepherds).norm(dim=-1)
+    assert moved.min() > 1.0
+    track = graph.track()
+    graph.start('lidar', shepherd_ids=[0, 1, 2])
+    graph.start('policy', shepherd_ids=[0, 1, 2], checkpoint=checkpoint, sample=sample)
+    graph.until_nodes('lidar', 'policy')
+    graph.start('flock_sim', episode_steps=STEPS, episodes=2)
+    graph.until(lambda: len(track.stamps) >= len(states), f'{len(states)} states')
+    assert_same_states(track, states)
+
+
+def test_a_node_for_each_shepherd_drives_as_one_for_all(graph: Graph, checkpoint: str) -> None:
+    states = expected_states(checkpoint, sample=True)
+    track = graph.track()
+    graph.host('lidar', shepherd_ids=[0, 1, 2])
+    for h in range(3):
+        graph.host(
+            'policy', '-r', f'__node:=policy_{h}', shepherd_ids=[h], checkpoint=checkpoint,
+            sample=True,
+        )  # fmt: skip
+    graph.host('flock_sim', episode_steps=STEPS, episodes=1)
+    graph.until(lambda: len(track.stamps) >= len(states), f'{len(states)} states')
+    # a product of matrices may round otherwise for three rows than for one; flocks are chaotic
+    for ns, state in zip(track.stamps[:15], states[:15], strict=True):
+        torch.testing.assert_close(track.shepherds(ns), state.shepherds, atol=1e-3, rtol=0)
+
+
+class Answers:
+    """Scans that are put in by hand, and what the node answers."""
+
+    def __init__(self, graph: Graph, checkpoint: str, world: dict[str, Any], **parameters: Any):
+        """Start a simulator for one shepherd, which nobody lets move, and the node."""
+        self.heard: list[TwistStamped] = graph.collect('shepherd_0/cmd_vel', TwistStamped)
+        graph.host('policy', checkpoint=checkpoint, **parameters)
+        graph.host('flock_sim', n_shepherds=1, **world)
+        self.outputs = [
+            graph.publisher(f'shepherd_0/scan/{channel}', LaserScan)
+            for channel in ('sheep', 'shepherds', 'goal')
+        ]
+
+    def scan(self, ns: int, channel: int, ranges: list[float], range_max: float = 75.0) -> None:
+        """Publish one scan."""
+        message = LaserScan(range_max=range_max, angle_increment=2 * math.pi / len(ranges))
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(ns, 10**9)
+        message.ranges = ranges
+        self.outputs[channel].publish(message)
+
+    def speeds(self) -> list[float]:
+        """Return the speeds that were commanded so far."""
+        return [math.hypot(m.twist.linear.x, m.twist.linear.y) for m in self.heard]
+
+
+GOOD = [math.inf] * 100 + [12.0] * 30 + [math.inf] * 382
+
+
+def test_a_scan_that_is_missing_nan_or_of_another_lidar_stops_the_shepherd(
+    graph: Graph, checkpoint: str
+) -> None:
+    graph.listen_to_logs()
+    answers = Answers(graph, checkpoint, {})
+    cases = [
+        (GOOD, 75.0, True),
+        ([math.nan, *GOOD[1:]], 75.0, False),
+        (GOOD, 75.0, True),
+        (GOOD[:256], 75.0, False),
+        (GOOD, 30.0, False),
+        (GOOD, 75.0, True),
+    ]
+    start = 500_000_000
+    for k, (ranges, range_max, fit) in enumerate(cases):
+        ns = start + k * 500_000_000
+        answers.scan(ns, 0, GOOD)
+        # the first scan of a stamp ends the wait for the one before
+        graph.until(lambda k=k: len(answers.heard) == k, 'an answer to the stamp before')
+        answers.scan(ns, 1, GOOD)
+        answers.scan(ns, 2, ranges, range_max)
+        if fit:
+            graph.until(lambda k=k: len(answers.heard) == k + 1, 'an answer')
+        graph.idle(0.2)
+    stamps = [nanoseconds(m.header.stamp) for m in answers.heard]
+    assert stamps == [start + k * 500_000_000 for k in range(len(cases))]
+    for speed, (_, _, fit) in zip(answers.speeds(), cases, strict=True):
+        assert (speed > 0.01) == fit, answers.speeds()
+    status = graph.until_status('policy', 'missing or not fit')
+    told = {value.key: value.value for value in status.values}
+    assert (told['scans_nan'], told['scans_contract'], told['scans_missing']) == ('1', '2', '3')
+    assert float(told['latency_ms_p99']) >= float(told['latency_ms_median']) > 0
+    assert graph.warnings(r'256 rays, expected 512') or graph.warnings('NaN')
+
+
+def test_an_episode_with_another_time_step_is_refused_by_name(
+    graph: Graph, checkpoint: str
+) -> None:
+    graph.listen_to_logs()
+    heard = graph.collect('shepherd_0/cmd_vel', TwistStamped)
+    graph.host('policy', checkpoint=checkpoint)
+    graph.host('flock_sim', n_shepherds=1, dt=0.1)
+    status = graph.until_status('policy', 'dt is 0.1 s: expected 0.5 s')
+    assert status.level == DiagnosticStatus.ERROR
+    assert not heard
+
+
+def test_in_real_time_the_shepherds_stop_when_their_scans_do(
+    graph: Graph, checkpoint: str
+) -> None:
+    world = {'mode': 'realtime', 'rate': 1.0}
+    answers = Answers(graph, checkpoint, world, stale_after=0.5)
+    for channel in range(3):
+        answers.scan(500_000_000, channel, GOOD)
+    graph.until(lambda: len(answers.heard) == 2, 'an answer and a stop')
+    assert answers.speeds()[0] > 0.01
+    assert answers.speeds()[1] == 0.0
+    graph.until_status('policy', 'scans have stopped')
+
+
+@pytest.mark.parametrize(
+    ('words', 'message'),
+    [
+        (['-p', 'checkpoint:=none.safetensors'], 'expected a file that exists'),
+        (['-p', 'checkpoint:=nobody'], 'or one that is shipped'),
+        (['-p', 'shepherd_ids:=[0,0]'], r'shepherd_ids is \[0, 0\]: expected each'),
+    ],
+)
+def test_mistakes_are_named(graph: Graph, words: list[str], message: str) -> None:
+    process = graph.start_words('policy', ['--ros-args', *words])
+    assert process.wait() == 2
+    assert process.says(message), process
