@@ -26,7 +26,7 @@ setup: $(VENV)/.installed
 
 $(VENV)/.installed: setup.py package.xml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[jazzy,fast,dev]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[jazzy,fast,envs,dev]'
 	touch $@
 
 browser:  # Chromium, in which the tests look at pages

@@ -68,6 +68,7 @@ setup(
     extras_require={
         'jazzy': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'fast': ['numba'],
+        'envs': ['gymnasium', 'pettingzoo'],
         'test': ['pytest'],
         'dev': [
             'catkin-pkg',

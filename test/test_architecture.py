@@ -30,6 +30,7 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
     'stack': ({'config'}, set()),
     'sim': ({'config'}, {'torch'}),
     'sim/kernels': ({'config'}, {'numba', 'numpy', 'torch'}),
+    'environments': ({'config', 'sim'}, {'gymnasium', 'numpy', 'pettingzoo', 'torch'}),
     'policy': ({'config', 'share', 'sim'}, {'numpy', 'safetensors', 'torch'}),
     'controllers': ({'config', 'sim', 'policy'}, {'torch'}),
     'episode': ({'config', 'sim'}, set()),
@@ -56,7 +57,7 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
     'cli': (
         {
             'config', 'share', 'topics', 'stack', 'sim', 'controllers', 'policy', 'bags',
-            'episode', 'learning', 'evaluation', 'view', 'nodes',
+            'environments', 'episode', 'learning', 'evaluation', 'view', 'nodes',
         },
         {'numpy', 'rich', 'torch', 'tyro', 'yaml'},
     ),
@@ -70,8 +71,8 @@ GLOBAL_TOPICS = {'/clock', '/diagnostics', '/tf'}  # whose names ROS 2 fixes
 LONGEST_FILE, LONGEST_SCRIPT = 300, 39  # lines
 ROSDEP = {'PIL': 'python3-pil'}  # where the key of rosdep is not python3-<package>
 WITH_PIP = {  # not from rosdep
-    'imageio', 'lz4', 'mcap', 'numba', 'plotly', 'pyarrow', 'rosbags', 'safetensors', 'torch',
-    'tyro', 'zstandard',
+    'gymnasium', 'imageio', 'lz4', 'mcap', 'numba', 'pettingzoo', 'plotly', 'pyarrow', 'rosbags',
+    'safetensors', 'torch', 'tyro', 'zstandard',
 }  # fmt: skip
 PYPI = {'PIL': 'pillow', 'yaml': 'pyyaml'}  # where the distribution has another name
 
@@ -334,7 +335,7 @@ def test_manifest_names_what_is_imported(manifest: Any) -> None:
 def test_setup_names_what_is_imported(distribution: Any) -> None:
     extras = distribution.extras_require
     always = {re.split(r'[<>=\[]', name)[0] for name in distribution.install_requires}
-    optional = {re.split(r'[<>=\[]', name)[0] for name in extras['fast']}
+    optional = {re.split(r'[<>=\[]', name)[0] for name in extras['fast'] + extras['envs']}
     for package in all_imports('shepherd_ros'):
         if not is_ros(package):
             assert PYPI.get(package, package) in always | optional, package

@@ -1,0 +1,200 @@
+"""
+The environment in the terms of Gymnasium (vector) and of PettingZoo (parallel).
+
+Both run sim.env: an observation is the network's input (C, L) float32, an action a velocity (2,)
+in units of the top speed, relative to the ray in front of the input. The reward is the team's. An
+episode ends by its time limit only, which is a truncation.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+import numpy as np
+from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
+from shepherd_ros.config import ConfigError
+from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.observation import first_ray, input_shape, network_input, turned
+import torch
+from torch import Tensor
+
+DEFAULT_SEED = 0
+
+
+def spaces_of(config: EnvConfig) -> tuple[spaces.Box, spaces.Box]:
+    """Return what one shepherd sees and does."""
+    observation, lidar = config.observation, config.lidar
+    highest = max(lidar.range_max / (observation.unit or lidar.range_max), observation.none_value)
+    shape = input_shape(observation, lidar.n_rays)
+    return (
+        spaces.Box(0.0, highest, shape, np.float32),
+        spaces.Box(-1.0, 1.0, (2,), np.float32),
+    )
+
+
+class _Worlds:
+    """The worlds behind both forms: stacks to inputs, actions to commands."""
+
+    def __init__(self, config: EnvConfig, n_worlds: int) -> None:
+        if config.world.spawn.fewest_shepherds:
+            raise ConfigError(
+                f'fewest_shepherds is {config.world.spawn.fewest_shepherds}: expected 0, as the '
+                'number of agents is fixed here; make an environment for each team size'
+            )
+        self.config = config
+        self.env = ShepherdEnv(config, n_worlds)
+        self.first = torch.zeros(n_worlds, config.world.n_shepherds, dtype=torch.int64)
+
+    def seen(self, stack: Tensor | None) -> np.ndarray:
+        """Return the inputs (B, H, C, L) of stacks (B, H, K, 3, R) m."""
+        assert stack is not None
+        observation = self.config.observation
+        inputs = network_input(stack, observation, self.config.lidar.range_max)
+        return inputs.numpy()
+
+    def reset(self, seed: int | None) -> np.ndarray:
+        """Start anew; return inputs."""
+        stack, _ = self.env.reset(DEFAULT_SEED if seed is None else seed)
+        return self._remember(stack)
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, Tensor, Tensor, dict[str, Any]]:
+        """Return inputs, reward (B,), truncated (B,) and info after actions (B, H, 2)."""
+        speed = self.config.world.shepherd_speed
+        way = torch.as_tensor(action, dtype=torch.float32) * speed
+        command = turned(way, self.first, self.config.lidar.n_rays)
+        stack, reward, _, truncated, info = self.env.step(command)
+        return self._remember(stack), reward, truncated, info
+
+    def _remember(self, stack: Tensor | None) -> np.ndarray:
+        assert stack is not None
+        self.first = first_ray(stack[..., -1, :, :], self.config.observation)
+        return self.seen(stack)
+
+
+class HerdingVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+    """
+    Every shepherd of every world is one of the num_envs environments, world by world.
+
+    Episodes that end start anew in the same step; `final_obs` in the info is then what was seen
+    last, and `final_info` has the metrics of each world's episode.
+    """
+
+    def __init__(self, config: EnvConfig | None = None, n_worlds: int = 8) -> None:
+        """Make the worlds; reset() starts them."""
+        config = config or EnvConfig()
+        self.worlds = _Worlds(config, n_worlds)
+        self.team = config.world.n_shepherds
+        self.num_envs = n_worlds * self.team
+        self.single_observation_space, self.single_action_space = spaces_of(config)
+        self.observation_space = gymnasium.vector.utils.batch_space(
+            self.single_observation_space, self.num_envs
+        )
+        self.action_space = gymnasium.vector.utils.batch_space(
+            self.single_action_space, self.num_envs
+        )
+        self.metadata = {'autoreset_mode': AutoresetMode.SAME_STEP}
+
+    def reset(
+        self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Return observations (num_envs, C, L) and info; world b starts with seed + b."""
+        if isinstance(seed, list):
+            raise ConfigError(f'seed is {seed}: expected one number, from which all worlds follow')
+        return self._flat(self.worlds.reset(seed)), {}
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Return observations, rewards, terminations, truncations (num_envs,) each, and info."""
+        given = np.asarray(actions).reshape(-1, self.team, 2)
+        seen, reward, truncated, info = self.worlds.step(given)
+        told: dict[str, Any] = {}
+        if 'final_observation' in info:
+            told['final_obs'] = self._flat(self.worlds.seen(info['final_observation']))
+            told['_final_obs'] = self._each(truncated)
+            metrics = info['final_metrics']
+            told['final_info'] = {name: self._each(value) for name, value in metrics.items()}
+        ended = self._each(truncated)
+        return self._flat(seen), self._each(reward), np.zeros_like(ended), ended, told
+
+    def _flat(self, seen: np.ndarray) -> np.ndarray:
+        return seen.reshape(self.num_envs, *seen.shape[2:])
+
+    def _each(self, value: Tensor) -> np.ndarray:
+        """Return what a world has (B,) for each of its shepherds (num_envs,)."""
+        return value.repeat_interleave(self.team).numpy()
+
+
+class HerdingParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
+    """One world; its agents are shepherd_0, shepherd_1 and so on."""
+
+    metadata = {'name': 'herding_v0', 'render_modes': [], 'is_parallelizable': True}  # noqa: RUF012
+
+    def __init__(self, config: EnvConfig | None = None) -> None:
+        """Make the world; reset() starts it."""
+        config = config or EnvConfig()
+        self.worlds = _Worlds(config, 1)
+        self.possible_agents = [f'shepherd_{h}' for h in range(config.world.n_shepherds)]
+        self.agents: list[str] = []
+        self.render_mode = None
+        seen, done = spaces_of(config)
+        self.observation_spaces = dict.fromkeys(self.possible_agents, seen)
+        self.action_spaces = dict.fromkeys(self.possible_agents, done)
+        self._episode = -1
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        """Return what an agent sees."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Box:
+        """Return what an agent does."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
+        """Return observations and infos; without a seed, the episode after the last one."""
+        self._episode = self._episode + 1 if seed is None else seed
+        self.agents = list(self.possible_agents)
+        seen = self.worlds.reset(self._episode)
+        return self._by_name(seen), {name: {} for name in self.agents}
+
+    def step(
+        self, actions: dict[str, np.ndarray]
+    ) -> tuple[
+        dict[str, np.ndarray],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """Return observations, rewards, terminations, truncations and infos by agent."""
+        missing = sorted(set(self.agents) - set(actions))
+        if missing:
+            raise ConfigError(f'actions lack {missing}: expected one for each of {self.agents}')
+        given = np.stack([actions[name] for name in self.agents])[None]
+        seen, reward, truncated, info = self.worlds.step(given)
+        names, ended = self.agents, bool(truncated[0])
+        told: dict[str, Any] = {}
+        if ended:
+            seen = self.worlds.seen(info['final_observation'])
+            told = {name: float(value[0]) for name, value in info['final_metrics'].items()}
+        result = (
+            self._by_name(seen),
+            dict.fromkeys(names, float(reward[0])),
+            dict.fromkeys(names, False),
+            dict.fromkeys(names, ended),
+            {name: dict(told) for name in names},
+        )
+        if ended:
+            self.agents = []
+        return result
+
+    def render(self) -> None:
+        """Draw nothing: shepherd bag render draws episodes."""
+
+    def _by_name(self, seen: np.ndarray) -> dict[str, np.ndarray]:
+        return dict(zip(self.possible_agents, seen[0], strict=True))
