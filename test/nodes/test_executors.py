@@ -48,7 +48,7 @@ def test_a_callback_that_fails_ends_the_spin_with_its_error(graph: Graph, execut
 def test_teams_of_varying_size_in_one_process_come_to_their_end(
     graph: Graph, executor: str
 ) -> None:
-    stack = {
+    stack: dict[str, dict[str, Any]] = {
         'flock_sim': {
             'executor': executor, 'n_sheep': 5, 'n_shepherds': 4, 'spawn.fewest_shepherds': 1,
             'episode_steps': 3, 'episodes': 6, 'wait_for_scans': True,
