@@ -3,9 +3,9 @@ One MCAP file that is being written: after every chunk, what is on the disk can 
 
 Records are those of the library mcap. Its Writer is not used, as it cannot do three things that a
 recorder has to do: end a chunk early (flush), so that a crash costs a second at most; forget a
-record of which the disk took only a part, and cut the file there; and then still end the file with
-a summary that counts what is kept. Its counts and offsets are private and run ahead of the disk, so
-that after an OSError its finish() names chunks that are not there.
+record of which the disk took only a part, and cut the file there; and then still end the file
+with a summary that counts what is kept. Its counts and offsets are private and run ahead of the
+disk, so that after an OSError its finish() names chunks that are not there.
 """
 
 from __future__ import annotations

@@ -29,8 +29,8 @@ class Held(CallbackGroup):
     """
     Subscriptions whose messages no executor takes: that would cost more than to write them.
 
-    Their events, by which DDS reports losses, make every round of an executor milliseconds long: it
-    sees them only while the group is open.
+    Their events, by which DDS reports losses, make every round of an executor milliseconds long:
+    it sees them only while the group is open.
     """
 
     open = False

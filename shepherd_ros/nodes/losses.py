@@ -4,7 +4,22 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
+
+
+@dataclass
+class Run:
+    """Numbers that one publisher may have given: first and last, and when they were heard."""
+
+    first: int
+    last: int
+    begun: int
+    ended: int
+
+    def gap_to(self, number: int, begun: int) -> int:
+        """Return how many are missing before a number heard then; -1 if it cannot come later."""
+        return number - 1 - self.last if self.ended < begun else -1
 
 
 class Numbering:
@@ -12,28 +27,29 @@ class Numbering:
     The numbers that messages of one topic have at their publishers.
 
     rclpy tells the number of a message but not who sent it. So the numbers are sorted into runs,
-    at most one for each publisher that was ever there, and what is missing is the least that
-    explains them. With one publisher that is exact. With several, a gap is noticed too, unless one
-    of them was silent so far: then the numbers after the gap may as well be its first.
+    at most one for each publisher that was ever there, in a way that explains them with few lost
+    messages. With one publisher that is exact. With several, a gap is noticed too, unless one of
+    them was silent so far: then the numbers after the gap may as well be its first.
     """
 
     def __init__(self) -> None:
         """Start with nothing heard."""
         self.publishers: set[bytes] = set()  # that were ever there
-        self.runs: list[list[int]] = []  # first and last number of each
-        self.missing = 0
+        self.runs: list[Run] = []
+        self.missing = self.heard = 0
 
     def take(self, number: int, look: Callable[[], set[bytes]]) -> None:
         """Take the number of a message; look() returns the publishers that are there now."""
+        self.heard += 1
         for run in self.runs:
-            if run[1] == number - 1:
-                run[1] = number
+            if run.last == number - 1:
+                run.last, run.ended = number, self.heard
                 return
         if self.runs:  # what came before the first one is not lost
             self.publishers |= look()
             if len(self.runs) >= len(self.publishers) and self._explain(number):
                 return
-        self.runs.append([number, number])
+        self.runs.append(Run(number, number, self.heard, self.heard))
 
     def _explain(self, number: int) -> bool:
         """
@@ -41,21 +57,25 @@ class Numbering:
 
         If the gap is between two runs, they become one, and the number begins another.
         """
-        gaps = [(number - 1 - run[1], run, None) for run in self.runs if run[1] < number]
+        gaps: list[tuple[int, Run, Run | None]] = [
+            (run.gap_to(number, self.heard), run, None) for run in self.runs
+        ]
         gaps += [
-            (late[0] - 1 - early[1], early, late)  # type: ignore[misc]
+            (early.gap_to(late.first, late.begun), early, late)
             for early in self.runs
             for late in self.runs
-            if early[1] < late[0]
         ]
+        gaps = [gap for gap in gaps if gap[0] >= 0]
         if not gaps:  # numbers that go back: a publisher that is gone again
             return False
         missing, run, late = min(gaps, key=lambda gap: gap[0])
         self.missing += missing
-        run[1] = number if late is None else late[1]
-        if late is not None:
-            self.runs.remove(late)
-        return late is None
+        if late is None:
+            run.last, run.ended = number, self.heard
+            return True
+        run.last, run.ended = late.last, late.ended
+        self.runs.remove(late)
+        return False
 
 
 class Losses:
@@ -88,7 +108,7 @@ class Losses:
     def earlier(self) -> Counter[str]:
         """Return how many were sent before the first one heard: before the two ends met."""
         items = self.topics.items()
-        return +Counter({name: sum(run[0] - 1 for run in n.runs) for name, n in sorted(items)})
+        return +Counter({name: sum(run.first - 1 for run in n.runs) for name, n in sorted(items)})
 
     def report(self) -> list[str]:
         """Return a line for each topic with losses."""

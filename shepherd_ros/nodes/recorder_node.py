@@ -33,8 +33,8 @@ class Recorder(ShepherdNode):
     """
     Writes every message it gets.
 
-    Messages are taken in batches, many times a second: that costs less than a callback for each, and
-    they go into the bag in the order in which they came, whatever their topics.
+    Messages are taken in batches, many times a second: that costs less than a callback for each,
+    and they go into the bag in the order in which they came, whatever their topics.
     """
 
     def __init__(self, options: RecorderOptions, **kwargs: Any) -> None:
@@ -104,7 +104,8 @@ class Recorder(ShepherdNode):
         """Expect the topics of an episode; begin its bag if each has its own."""
         with suppress(ValueError):
             self.intake.expect(namespace, EpisodeInfo.from_json(decode_string(raw)).n_shepherds)
-        if self.recording and self.options.per_episode:
+        again = self.latched.get(f'{namespace}/episode') == raw  # told to those who were silent
+        if self.recording and self.options.per_episode and not (again and self.begun):
             if self.begun:
                 self._close()
                 self.latched.pop(f'{namespace}/goal', None)  # another one follows
