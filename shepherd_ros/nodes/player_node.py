@@ -29,6 +29,7 @@ import tyro
 
 CLOCK = '/clock'
 SECOND = 1_000_000_000  # [ns]
+ACK_TIME = 4.0  # [s] for readers to miss what did not arrive: DDS asks them every 3 s
 LATCHED_LEAD = 0.2  # [s] that readers get to know the topics before the first message
 
 
@@ -246,8 +247,9 @@ class Player(ShepherdNode):
         self.stopped.set()
         self.woken.set()
         self.thread.join(2.0)
+        limit = self.wall() + ACK_TIME
         for output in self.outputs.values():
-            output.wait_for_all_acked(Duration(seconds=0.5))
+            output.wait_for_all_acked(Duration(seconds=max(limit - self.wall(), 0.0)))
         if self.failure:
             print(f'player: {self.failure}')
             return 2

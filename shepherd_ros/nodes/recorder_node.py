@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.duration import Duration
 from shepherd_ros.bags.contract import known
 from shepherd_ros.bags.decode import decode_clock, decode_string
 from shepherd_ros.bags.errors import BagError
@@ -25,6 +26,7 @@ from std_srvs.srv import Trigger
 TAKE_PERIOD = 0.02  # [s] between two looks for messages
 GRAPH_PERIOD = 0.1  # [s] between two looks for new topics
 FLUSH_PERIOD = 1.0  # [s] of messages that a crash may cost at most
+ACK_TIME = 4.0  # [s] for others to hear of a failure: DDS asks for what is missed every 3 s
 CLOCK = '/clock'
 LOSSY = 1  # exit code of a bag that is not whole
 
@@ -201,6 +203,8 @@ class Recorder(ShepherdNode):
             self._close()
         except BagError as error:
             self.failure = str(error)
+        if self.failure:
+            self._diagnostics.wait_for_all_acked(Duration(seconds=ACK_TIME))
         lost = self.losses.report()
         print(f'{self.written} messages of {len(self.announced)} topics in {self.folder}')
         for line in lost:

@@ -133,7 +133,8 @@ def room(shared_graph: Graph) -> Iterator[Graph]:
     for process in shared_graph.processes:
         process.kill()
     shared_graph.until(
-        lambda: set(shared_graph.node.get_node_names()) == {'probe'}, 'nobody is there'
+        lambda: set(shared_graph.node.get_node_names()) == {'probe'},
+        lambda: f'only the probe is there: {shared_graph.node.get_node_names()}',
     )
 
 
