@@ -67,13 +67,22 @@ class Intake:
     """
 
     def __init__(
-        self, node: Node, wanted: Callable[[str], bool], refuse: Callable[[str], None]
+        self,
+        node: Node,
+        wanted: Callable[[str], bool],
+        refuse: Callable[[str], None],
+        wait: float = 0.0,
     ) -> None:
-        """Listen to the contract in the node's namespace; refuse(why) is told what cannot be."""
+        """
+        Listen to the contract in the node's namespace; refuse(why) is told what cannot be.
+
+        With wait [s] messages are in the order in which they were sent, if none is later than so.
+        """
         self.node, self.wanted, self.refuse = node, wanted, refuse
         self.inputs: dict[str, Input] = {}
         self.refused: dict[str, str] = {}
         self.losses = Losses(self._publishers)
+        self.wait_ns, self.order = round(wait * 1e9), _sent if wait else _received
         self.group = Held()
         self.kept: list[Row] = []  # came after the last look at another topic began
         self.expect(node.get_namespace().rstrip('/'))
@@ -84,7 +93,7 @@ class Intake:
     def take(self, everything: bool = False) -> list[Row]:
         """Return what has come so far; everything: even what others may come in front of."""
         self.group.open = False
-        now, rows = time.time_ns(), self.kept
+        now, rows = time.time_ns() - self.wait_ns, self.kept
         for name, heard in self.inputs.items():
             handle, kind = heard.subscription.handle, heard.subscription.msg_type
             with handle:
@@ -93,8 +102,8 @@ class Intake:
                     if taken is None:
                         break
                     rows.append((name, *taken))
-        rows.sort(key=_received)
-        cut = len(rows) if everything else bisect_right(rows, now, key=_received)
+        rows.sort(key=self.order)
+        cut = len(rows) if everything else bisect_right(rows, now, key=self.order)
         self.kept = rows[cut:]
         return rows[:cut]
 
@@ -210,6 +219,10 @@ class Intake:
 
 def _received(row: Row) -> int:
     return row[2]['received_timestamp']
+
+
+def _sent(row: Row) -> int:
+    return row[2]['source_timestamp'] or row[2]['received_timestamp']
 
 
 def _ids(offers: list[Any]) -> set[bytes]:

@@ -27,6 +27,7 @@ TAKE_PERIOD = 0.02  # [s] between two looks for messages
 GRAPH_PERIOD = 0.1  # [s] between two looks for new topics
 FLUSH_PERIOD = 1.0  # [s] of messages that a crash may cost at most
 ACK_TIME = 4.0  # [s] for others to hear of a failure: DDS asks for what is missed every 3 s
+EPISODE_WAIT = 0.5  # [s] for the last messages of an episode when the next one has begun
 CLOCK = '/clock'
 LOSSY = 1  # exit code of a bag that is not whole
 
@@ -64,7 +65,8 @@ class Recorder(ShepherdNode):
         self.parts = self.written = self.safe = 0
         self.clock_ns = 0
         self.rate_of = (self.wall(), 0)  # when and how many messages at the last report
-        self.intake = Intake(self, self._heard, self._refuse)
+        wait = EPISODE_WAIT if options.per_episode else 0.0
+        self.intake = Intake(self, self._heard, self._refuse, wait)
         self.losses = self.intake.losses
         self.create_service(Trigger, '~/start', self._server(True))
         self.create_service(Trigger, '~/stop', self._server(False))

@@ -297,7 +297,8 @@ def send_first(graph: Graph, topic: str, kind: Any, qos: Any, row: bytes) -> Non
     output = graph.node.create_publisher(kind, topic, qos)
     until(output.get_subscription_count, f'a reader of {topic}', step=lambda: None)
     output.publish(row)
-    graph.idle(0.3)
+    output.wait_for_all_acked()
+    graph.idle(0.2)
     graph.node.destroy_publisher(output)
 
 
@@ -315,13 +316,13 @@ def test_the_first_message_of_every_topic_is_there(room: Graph, tmp_path: Path) 
         ('/goal', PoseStamped, RELIABLE, goal),  # not latched
         ('/shepherd_0/cmd_vel', Twist, RELIABLE, command),
         ('/farm/episode', String, LATCHED, text),
-        ('/farm/shepherds/poses', PoseArray, RELIABLE, poses(1, np.ones((2, 2)), np.ones((2, 2)))),
     ]
     for topic, kind, qos, row in sent:
         send_first(room, topic, kind, qos, row)
     assert recorder.stop() == 0, recorder
     kept = [(m.topic, m.data.rstrip(b'\0')) for m in open_bag(tmp_path / 'bag').messages()]
-    assert kept == [(topic, row.rstrip(b'\0')) for topic, _, _, row in sent]  # without padding
+    # without padding
+    assert kept == [(topic, row.rstrip(b'\0')) for topic, _, _, row in sent], recorder
 
 
 def test_a_topic_gets_a_second_publisher_that_offers_less(room: Graph, tmp_path: Path) -> None:
@@ -428,33 +429,47 @@ def test_a_recorder_refuses_what_cannot_be(
     assert not places['new'].exists()
 
 
-@pytest.mark.parametrize('seconds', [0.1, 0.7, 1.3])
-def test_a_killed_recorder_leaves_all_that_it_has_put_on_the_disk(
-    graph: Graph, tmp_path: Path, capsys: pytest.CaptureFixture[str], seconds: float
+def test_killed_recorders_leave_all_that_they_have_put_on_the_disk(
+    room: Graph, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    recorder = start_recorder(graph, tmp_path / 'bag', '--topics', '/scan')
-    output = graph.publisher('/scan', LaserScan)
-    rows = [scan_of(k, np.full(512, k, np.float32)) for k in range(round(2000 * seconds))]
-    flood(graph, output, rows, 2000.0)
-    file = tmp_path / 'bag' / 'bag_0.mcap'
-    graph.until(lambda: file.exists() and file.stat().st_size > 8, 'a bag')
-    status = graph.status('recorder: recorder')
-    recorder.send(SIGKILL)
-    assert recorder.wait() == -SIGKILL
-    said = {value.key: value.value for value in status.values} if status else {}
-    assert main(['bag', 'info', str(tmp_path / 'bag')]) == 2
-    assert 'shepherd bag recover' in capsys.readouterr().err
-    assert main(['bag', 'recover', str(tmp_path / 'bag')]) == 0
-    again = tmp_path / 'bag_recovered'
-    kept = [message.data for message in open_bag(again).messages()]
-    assert kept == rows[: len(kept)]
-    whole = 0  # that another reader finds in whole chunks
-    with file.open('rb') as stream, suppress(EndOfFile):
-        for record in StreamReader(stream).records:
-            whole += isinstance(record, Message)
-    assert len(kept) >= max(whole, int(said.get('on_disk', 0)))
-    with AnyReader([again]) as reader:
-        assert reader.message_count == sum(1 for _ in reader.messages()) == len(kept)
+    """Three of them; 20 times with the whole stack in benchmarks/kill_recorder.py."""
+    names = [f'recorder{k}' for k in range(3)]
+    recorders = [
+        room.start_words(
+            'recorder',
+            ['-o', str(tmp_path / name), '--topics', f'/{name}/scan',
+             '--ros-args', '-r', f'__node:={name}'],
+        )
+        for name in names
+    ]  # fmt: skip
+    outputs = [room.publisher(f'/{name}/scan', LaserScan) for name in names]
+    for name, recorder, output, count in zip(
+        names, recorders, outputs, (200, 1400, 2600), strict=True
+    ):
+        rows = [scan_of(k, np.full(512, k, np.float32)) for k in range(count)]
+        flood(room, output, rows, 2000.0)
+        file = tmp_path / name / f'{name}_0.mcap'
+        room.until(lambda file=file: file.exists() and file.stat().st_size > 8, 'a bag')
+        status = room.status(f'{name}: recorder')
+        recorder.send(SIGKILL)
+        assert recorder.wait() == -SIGKILL
+        said = {value.key: value.value for value in status.values} if status else {}
+        assert main(['bag', 'info', str(tmp_path / name)]) == 2
+        assert 'shepherd bag recover' in capsys.readouterr().err
+        assert main(['bag', 'recover', str(tmp_path / name)]) == 0
+        again = tmp_path / f'{name}_recovered'
+        kept = [message.data for message in open_bag(again).messages()]
+        assert kept == rows[: len(kept)]
+        whole = 0  # that another reader finds in whole chunks
+        with file.open('rb') as stream, suppress(EndOfFile):
+            for record in StreamReader(stream).records:
+                whole += isinstance(record, Message)
+        assert len(kept) >= max(whole, int(said.get('on_disk', 0)))
+        with AnyReader([again]) as reader:
+            assert reader.message_count == sum(1 for _ in reader.messages()) == len(kept)
+    room.until(lambda: set(room.node.get_node_names()) == {'probe'}, 'DDS misses the dead')
+    for output in outputs:
+        room.node.destroy_publisher(output)
 
 
 def test_a_disk_that_is_full_ends_the_recorder_with_a_word(room: Graph, tmp_path: Path) -> None:
