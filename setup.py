@@ -37,6 +37,7 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
+        shared('checkpoints', '*.safetensors'),
         shared('launch', '*.launch.py'),
         shared('config', '*'),
         shared('msg_schemas', '*.*'),

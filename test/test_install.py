@@ -23,7 +23,9 @@ pytestmark = [
 ]
 
 ROOT = Path(__file__).resolve().parents[1]
-NODES = {'flock_sim', 'lidar', 'metrics', 'strombom', 'pierson', 'idle', 'random'}
+NODES = {
+    'flock_sim', 'lidar', 'metrics', 'strombom', 'pierson', 'drover', 'idle', 'random', 'policy',
+}  # fmt: skip
 MARKER = 'share/ament_index/resource_index/packages/shepherd_ros'
 FILES = ('package.xml', 'config/shepherd.rviz', 'launch/simulate.launch.py')
 FILES += ('msg_schemas/topics.yaml', 'msg_schemas/geometry_msgs/PoseArray.msg')

@@ -21,7 +21,7 @@ from torch import Tensor
 class LearnedConfig(Config):
     """Options of the learned controller."""
 
-    checkpoint: str = option('general', 'checkpoint: a file, or the name of one that is shipped')
+    checkpoint: str = option('imitation', 'checkpoint: a file, or the name of one that is shipped')
     sample: bool = option(False, 'draw actions from the policy; false: its mean')
 
 
@@ -80,3 +80,6 @@ def require_same_world(policy: Policy, world: WorldConfig) -> None:
             f'dt is {world.dt} s: expected {policy.config.dt} s, with which the policy was '
             'trained; choose another preset, or a checkpoint that was trained with yours'
         )
+
+
+CONTROLLER = LearnedController

@@ -8,7 +8,7 @@ from rclpy.parameter import parameter_value_to_python
 from shepherd_ros.nodes.compose import NODES
 import yaml
 
-WITH_FILE = ('flock_sim', 'lidar', 'metrics', 'strombom', 'pierson')
+WITH_FILE = ('flock_sim', 'lidar', 'metrics', 'strombom', 'pierson', 'drover', 'policy')
 
 
 def parameter_file(name: str) -> str:

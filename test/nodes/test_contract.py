@@ -30,6 +30,7 @@ NODES = {  # node -> executable, parameters, shepherds that it serves
     'lidar_b': ('lidar', {'shepherd_ids': [1, 2]}, [1, 2]),
     'strombom': ('strombom', {}, [0, 1, 2]),
     'metrics': ('metrics', {}, []),
+    'policy': ('policy', {'shepherd_ids': [1]}, [1]),
 }
 Stack = dict[str, Process]
 
