@@ -11,7 +11,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from shepherd_ros.bags.reader import open_bag
 from shepherd_ros.share import share_file
-from shepherd_ros.stack import REPLAY_ARGUMENTS, replay_values
+from shepherd_ros.stack import commanded, REPLAY_ARGUMENTS, replay_values
 from shepherd_ros.topics import renamed_topics
 
 
@@ -29,13 +29,14 @@ def nodes(context: LaunchContext) -> list[Action]:
     )
     actions: list[Action] = [TimerAction(period=values.delay, actions=[player])]
     if values.controller:
+        whole_team = commanded(values.controller, values.n_shepherds)
         actions.append(
             Node(
                 package='shepherd_ros',
                 executable=values.controller,
                 name=values.controller,
                 namespace=values.namespace,
-                parameters=[values.params_file] if values.params_file else [],
+                parameters=[part for part in (whole_team, values.params_file) if part],
                 output='screen',
             )
         )

@@ -38,13 +38,18 @@ def herding_stack(
         Process('flock_sim', 'flock_sim', {'n_shepherds': n_shepherds, **flock_sim}),
         *lidars,
         Process('metrics', 'metrics'),
-        Process(controller, controller),
+        Process(controller, controller, commanded(controller, n_shepherds)),
     ]
+
+
+def commanded(controller: str, n_shepherds: int) -> dict[str, Any]:
+    """Return the parameters with which a controller commands a whole team; most need none."""
+    return {'shepherd_ids': list(range(n_shepherds))} if controller == 'policy' else {}
 
 
 # name -> default and description; empty means that the node's own default holds
 LAUNCH_ARGUMENTS: dict[str, tuple[str, str]] = {
-    'controller': ('strombom', 'strombom, pierson, idle or random'),
+    'controller': ('strombom', 'strombom, pierson, drover, policy, idle or random'),
     'n_sheep': ('100', 'sheep in the flock'),
     'n_shepherds': ('3', 'shepherds, each with its lidar'),
     'flock': ('strombom', 'flock model: strombom or reynolds'),

@@ -31,6 +31,8 @@ def test_a_parameter_file_is_the_defaults_of_its_node(name: str) -> None:
 
 
 def test_the_stack_has_a_lidar_for_each_shepherd_and_distinct_names() -> None:
+    (learned,) = [p for p in herding_stack('policy', 2) if p.name == 'policy']
+    assert learned.parameters == {'shepherd_ids': [0, 1]}  # its own default is the first alone
     stack = herding_stack('pierson', 5, n_sheep=7, wait_for_scans=True)
     assert [p.executable for p in stack].count('lidar') == 5
     assert len({p.name for p in stack}) == len(stack) == 8

@@ -27,7 +27,7 @@ class Demo:
     """Herd a flock over ROS 2 topics with separate processes; draw what happened."""
 
     controller: str = 'strombom'
-    """Executable that commands the shepherds: strombom, pierson, idle, random."""
+    """Executable that commands the shepherds: strombom, pierson, drover, policy, idle, random."""
     sheep: int = 100
     """Sheep in the flock."""
     shepherds: int = 3
