@@ -11,6 +11,12 @@ from typing import Any
 from shepherd_ros.config import ConfigError
 import torch
 
+# what torch raises for bytes that are no state
+UNREADABLE = (
+    AttributeError, EOFError, LookupError, OSError, pickle.UnpicklingError, RuntimeError,
+    TypeError, ValueError,
+)  # fmt: skip
+
 
 class Run:
     """
@@ -45,13 +51,13 @@ class Run:
             return None
         try:
             state = torch.load(self.state, weights_only=True)
-        except (RuntimeError, pickle.UnpicklingError, EOFError, OSError) as error:
+        except UNREADABLE as error:
             raise ConfigError(
                 f'{self.state} cannot be read ({error}): remove it to start anew'
             ) from error
-        lines = curve.read_text(encoding='utf-8').splitlines()
-        kept = [x for x in lines if json.loads(x)['updates'] <= state['progress']['updates']]
-        curve.write_text(''.join(f'{x}\n' for x in kept), encoding='utf-8')
+        lines = curve.read_text(encoding='utf-8').splitlines(keepends=True)
+        # later lines are written again; the last one may be torn
+        curve.write_text(''.join(lines[: state['progress']['updates']]), encoding='utf-8')
         return dict(state)
 
     def save(self, state: Mapping[str, Any]) -> None:
