@@ -185,7 +185,7 @@ def test_every_node_reports_on_diagnostics_with_names_that_tools_can_group(
 
     expected = {
         'flock_sim: episode', 'flock_sim: commands', 'lidar: lidar', 'lidar_b: lidar',
-        'strombom: controller', 'metrics: metrics',
+        'strombom: controller', 'metrics: metrics', 'policy: policy',
     }  # fmt: skip
     shared_graph.until(lambda: names() >= expected, 'diagnostics of every node')
     assert names() == expected

@@ -37,7 +37,7 @@ def test_every_executable_ends_with_zero_on_a_signal_while_it_waits(
     waiting = [name for name in EXECUTABLES if name != 'flock_sim']
     processes = {name: graph.start(name, executor=executor) for name in waiting}
     for name in waiting:  # it reports once a second, so that it spins
-        graph.until_status(f'{name}: ', 'no state of the world heard yet')
+        graph.until_status(f'{name}: ', 'no (state of the world|scans) heard yet')
     for process in processes.values():
         process.send(*signals)
     for process in processes.values():

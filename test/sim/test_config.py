@@ -33,6 +33,7 @@ CLASSES: list[type[Config]] = [
     *(controller.config_type for controller in CONTROLLERS.values()),
 ]
 OPTIONS = [(c, f) for c in CLASSES for f in fields(c) if 'doc' in f.metadata]
+FREE_TEXT = {'checkpoint'}  # options that any text may be given to
 option_ids = [f'{c.__name__}.{f.name}' for c, f in OPTIONS]
 
 
@@ -54,6 +55,9 @@ def test_an_option_has_a_sentence_and_a_default_that_is_allowed(config: Any, fie
 @pytest.mark.parametrize(('config', 'field'), OPTIONS, ids=option_ids)
 @pytest.mark.parametrize('bad', [None, [1.0], 'many', b'x', 1 + 2j, object], ids=repr)
 def test_an_option_of_another_type_is_refused(config: Any, field: Any, bad: Any) -> None:
+    if field.name in FREE_TEXT and isinstance(bad, str):
+        assert getattr(config(**{field.name: bad}), field.name) == bad
+        return
     said = message(config, **{field.name: bad})
     assert said.startswith(f'{field.name} is {bad!r}')
     assert 'expected' in said
