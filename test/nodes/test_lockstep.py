@@ -63,8 +63,9 @@ def test_nodes_start_in_any_order(graph: Graph, last: str) -> None:
 
 def test_a_silent_shepherd_is_named_and_the_episode_goes_on_when_it_answers(graph: Graph) -> None:
     track = graph.track()
-    sim = graph.start('flock_sim', **SMALL, **QUICK)
     graph.start('strombom', shepherd_ids=[0])
+    graph.until_nodes('strombom')  # else both are named as silent, once
+    sim = graph.start('flock_sim', **SMALL, **QUICK)
     graph.until_says(
         sim, r'\[WARN\].* waiting at 0\.500 s for shepherd_1/cmd_vel \(nobody publishes it\)'
     )
