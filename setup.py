@@ -70,6 +70,7 @@ setup(
         'jazzy': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'fast': ['numba'],
         'envs': ['gymnasium', 'pettingzoo'],
+        'sb3': ['gymnasium', 'pettingzoo', 'stable-baselines3'],
         'test': ['pytest'],
         'dev': [
             'catkin-pkg',
@@ -86,6 +87,7 @@ setup(
             'ruff',
             'selenium',
             'setuptools<80',
+            'stable-baselines3',
             'types-PyYAML',
         ],
     },

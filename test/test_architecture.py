@@ -31,6 +31,10 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
     'sim': ({'config'}, {'torch'}),
     'sim/kernels': ({'config'}, {'numba', 'numpy', 'torch'}),
     'environments': ({'config', 'sim'}, {'gymnasium', 'numpy', 'pettingzoo', 'torch'}),
+    'sb3': (
+        {'config', 'environments', 'sim'},
+        {'gymnasium', 'numpy', 'stable_baselines3', 'torch'},
+    ),
     'policy': ({'config', 'share', 'sim'}, {'numpy', 'safetensors', 'torch'}),
     'controllers': ({'config', 'sim', 'policy'}, {'torch'}),
     'episode': ({'config', 'sim'}, set()),
@@ -57,7 +61,7 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
     'cli': (
         {
             'config', 'share', 'topics', 'stack', 'sim', 'controllers', 'policy', 'bags',
-            'environments', 'episode', 'learning', 'evaluation', 'view', 'nodes',
+            'environments', 'episode', 'learning', 'evaluation', 'sb3', 'view', 'nodes',
         },
         {'numpy', 'rich', 'torch', 'tyro', 'yaml'},
     ),
@@ -72,9 +76,13 @@ LONGEST_FILE, LONGEST_SCRIPT = 300, 39  # lines
 ROSDEP = {'PIL': 'python3-pil'}  # where the key of rosdep is not python3-<package>
 WITH_PIP = {  # not from rosdep
     'gymnasium', 'imageio', 'lz4', 'mcap', 'numba', 'pettingzoo', 'plotly', 'pyarrow', 'rosbags',
-    'safetensors', 'torch', 'tyro', 'zstandard',
+    'safetensors', 'stable_baselines3', 'torch', 'tyro', 'zstandard',
 }  # fmt: skip
-PYPI = {'PIL': 'pillow', 'yaml': 'pyyaml'}  # where the distribution has another name
+PYPI = {  # where the distribution has another name
+    'PIL': 'pillow',
+    'stable_baselines3': 'stable-baselines3',
+    'yaml': 'pyyaml',
+}
 
 
 def is_ros(package: str) -> bool:
@@ -155,7 +163,7 @@ def test_layers_import_only_what_they_may(path: Path) -> None:
 def test_contributors_read_the_same_rules() -> None:
     assert {layer_of(path) for path in MODULES} - {''} <= set(ALLOWED)
     text = (ROOT / 'CONTRIBUTING.md').read_text(encoding='utf-8')
-    rows = re.findall(r'^\| `([a-z/]+)` \| (.+) \|$', text, re.MULTILINE)
+    rows = re.findall(r'^\| `([a-z0-9/]+)` \| (.+) \|$', text, re.MULTILINE)
     assert [layer for layer, _ in rows] == list(ALLOWED)
     for layer, told in rows:
         names = {name for name in told.split(', ') if name not in ('nothing', 'messages')}
@@ -335,7 +343,8 @@ def test_manifest_names_what_is_imported(manifest: Any) -> None:
 def test_setup_names_what_is_imported(distribution: Any) -> None:
     extras = distribution.extras_require
     always = {re.split(r'[<>=\[]', name)[0] for name in distribution.install_requires}
-    optional = {re.split(r'[<>=\[]', name)[0] for name in extras['fast'] + extras['envs']}
+    chosen = extras['fast'] + extras['envs'] + extras['sb3']
+    optional = {re.split(r'[<>=\[]', name)[0] for name in chosen}
     for package in all_imports('shepherd_ros'):
         if not is_ros(package):
             assert PYPI.get(package, package) in always | optional, package
