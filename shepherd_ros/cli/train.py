@@ -19,6 +19,7 @@ from shepherd_ros.learning.run_folder import Run
 from shepherd_ros.learning.train_bc import BCConfig, train_bc
 from shepherd_ros.learning.train_ppo import PPORunConfig, train_ppo
 from shepherd_ros.policy.checkpoint import load_policy
+from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.observation import ObservationConfig
 import torch
@@ -26,7 +27,11 @@ import tyro
 
 # what works on a CPU; the defaults of the policy itself are the paper's
 LEARNS_WELL = ObservationConfig(align='goal', unit=10.0)
-FROM_SCRATCH = PolicyConfig(repeat=8, observation=replace(LEARNS_WELL, spacing=8))
+FROM_SCRATCH = PolicyConfig(
+    repeat=8,
+    observation=replace(LEARNS_WELL, spacing=8),
+    network=NetworkConfig(min_std=0.2),
+)
 IMITATION = PolicyConfig(observation=replace(LEARNS_WELL, spacing=4))
 QUICK: dict[type[Config], dict[str, Any]] = {
     PPORunConfig: {'samples': 300_000},
@@ -42,7 +47,11 @@ class Common:
     out: Path
     """Folder of the run; a run that is there and was interrupted goes on."""
     start: str = ''
-    """Checkpoint to start from: a file, or the name of a shipped one; random weights if empty."""
+    """
+    Checkpoint to start from: a file, or the name of a shipped one; random weights if empty.
+
+    The policy is then as in the checkpoint, but for the --policy options that are given.
+    """
     quick: bool = False
     """About ten minutes instead of an hour, for a first result."""
     threads: int = 1
@@ -55,7 +64,7 @@ def verb(
     """Return the class of a verb, with the arguments of its configuration."""
 
     def run(arguments: Any) -> int:
-        return _run(arguments, kind, train)
+        return _run(arguments, kind, policy, train)
 
     rows: list[Any] = []
     if bags:
@@ -81,10 +90,14 @@ def verbs() -> dict[str, type[Any]]:
     }
 
 
-def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
+def _run(
+    arguments: Any, kind: type[Config], default: PolicyConfig, train: Callable[..., Any]
+) -> int:
     """Train; return the exit code."""
     if arguments.threads < 1:
         raise UserError(f'--threads is {arguments.threads}: expected at least 1')
+    if kind is BCConfig and not arguments.bags:
+        raise UserError('no bags are given: expected bags or folders of bags, as arguments')
     torch.set_num_threads(arguments.threads)
     keep_memory()
     config = configured(kind, arguments.run_)
@@ -94,7 +107,7 @@ def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
             if getattr(config, name) == getattr(default, name):
                 config = replace(config, **{name: value})
     torch.manual_seed(arguments.run_.seed)
-    policy = _policy(arguments)
+    policy = _policy(arguments, default)
     record = {
         'command': shlex.join(['shepherd', *sys.argv[1:]]),
         'version': __version__,
@@ -114,15 +127,41 @@ def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
     return 0
 
 
-def _policy(arguments: Any) -> Policy:
-    """Return the policy to train: new, or that of a checkpoint with another pace if asked for."""
+def _policy(arguments: Any, default: PolicyConfig) -> Policy:
+    """Return the policy to train: new, or that of a checkpoint with what was asked changed."""
     wanted = configured(PolicyConfig, arguments.policy)
     if not arguments.start:
         return Policy(wanted)
     start = load_policy(arguments.start)
-    policy = Policy(replace(start.config, repeat=wanted.repeat))
-    policy.load_state_dict(start.state_dict())
+    asked = changes(default.to_dict(), wanted.to_dict())
+    policy = Policy(PolicyConfig.from_dict(merged(start.config.to_dict(), asked)))
+    try:
+        policy.load_state_dict(start.state_dict())
+    except RuntimeError as error:
+        raise UserError(
+            f'--start {arguments.start} does not fit: {error}; leave out the --policy options '
+            'that change the form of the network'
+        ) from error
     return policy
+
+
+def changes(default: dict[str, Any], wanted: dict[str, Any]) -> dict[str, Any]:
+    """Return what of a nested dictionary is not as by default."""
+    found = {}
+    for name, value in wanted.items():
+        if isinstance(value, dict):
+            found[name] = changes(default[name], value)
+        elif value != default[name]:
+            found[name] = value
+    return found
+
+
+def merged(base: dict[str, Any], changed: dict[str, Any]) -> dict[str, Any]:
+    """Return a nested dictionary with some values changed."""
+    return base | {
+        name: merged(base[name], value) if isinstance(value, dict) else value
+        for name, value in changed.items()
+    }
 
 
 def show(line: dict[str, Any]) -> None:

@@ -19,9 +19,9 @@ from shepherd_ros.learning.judge import judge
 from shepherd_ros.learning.rollout import Group, team_reward
 from shepherd_ros.learning.run_folder import Run
 from shepherd_ros.learning.task import TaskConfig
-from shepherd_ros.policy.checkpoint import save_policy
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
+from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.observation import turned
 from shepherd_ros.sim.perception import perceive
 import torch
@@ -71,7 +71,7 @@ class Lesson:
         """Start an episode with new memories."""
         self.group.begin(steps)
         world = self.group.config.world
-        reynolds = type(world.flock).__name__ == 'ReynoldsFlock'
+        reynolds = isinstance(world.flock, ReynoldsFlock)
         name = self.config.reynolds_teacher if reynolds else self.config.teacher
         self.teacher = make_controller(name, world)
         self.learner = LearnedController(LearnedConfig(), world, self.policy, self.dtype)
@@ -109,7 +109,6 @@ def train_dagger(
     examples = Examples(policy, config.capacity, dtype)
     cloner = Cloner(policy, config.clone, config.seed)
     begun = time.monotonic()
-    best = -1e9
     for done in range(config.rounds):
         for i, lesson in enumerate(lessons):
             shown = done < config.shown or i < config.taught_groups
@@ -127,10 +126,7 @@ def train_dagger(
         }
         if (done + 1) % config.judge_every == 0 or done + 1 == config.rounds:
             judged = judge(policy, config.task, config.judge_episodes, config.judge_steps, dtype)
-            line |= {f'judge/{name}': value for name, value in judged.items()}
-            if judged['score'] >= best:
-                best = judged['score']
-                save_policy(run.best, policy, run.record | {'progress': line, 'judged': judged})
+            line |= run.judged(policy, judged, line)
         run.write(line)
         on_line(line)
     return policy

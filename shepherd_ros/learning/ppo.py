@@ -21,11 +21,11 @@ class PPOConfig(Config):
     clip: float = option(0.2, 'the probability ratio is cut to 1 -+ this', low=0.0, high=1.0)
     epochs: int = option(3, 'times that each decision is learned from', low=1)
     minibatch: int = option(1024, 'decisions per step of the optimiser', low=1)
-    actor_rate: float = option(4e-4, 'learning rate of the actor at first', low=0.0)
-    critic_rate: float = option(5e-4, 'learning rate of the critic at first', low=0.0)
+    actor_rate: float = option(1e-4, 'learning rate of the actor at first', low=0.0)
+    critic_rate: float = option(3e-4, 'learning rate of the critic at first', low=0.0)
     entropy: float = option(0.002, 'weight of the entropy', low=0.0)
     longest_gradient: float = option(0.5, 'gradients are cut to this norm', low=0.0)
-    target_kl: float = option(0.03, 'the actor rests for the update beyond this', low=0.0)
+    target_kl: float = option(0.04, 'the actor rests for the update beyond this', low=0.0)
 
 
 def clipped_loss(ratio: Tensor, advantage: Tensor, clip: float) -> Tensor:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 import json
+import math
 from pathlib import Path
 import pickle
 from typing import Any
 
 from shepherd_ros.config import ConfigError
+from shepherd_ros.policy.checkpoint import save_policy
+from shepherd_ros.policy.policy import Policy
 import torch
 
 # what torch raises for bytes that are no state
@@ -29,6 +32,7 @@ class Run:
         """Make the folder, or find the run that it holds; record is plain data."""
         self.folder, self.record = folder, dict(record)
         self.best = folder / 'best.safetensors'
+        self.best_score = -math.inf
         self.state = folder / 'state.pt'
         asked = folder / 'run.json'
         folder.mkdir(parents=True, exist_ok=True)
@@ -65,6 +69,19 @@ class Run:
         beside = self.state.with_suffix('.part')
         torch.save(dict(state), beside)
         beside.replace(self.state)
+
+    def judged(
+        self, policy: Policy, results: Mapping[str, float], progress: Mapping[str, Any]
+    ) -> dict[str, float]:
+        """Keep a policy if its score is the best so far; return the results as part of a line."""
+        if results['score'] > self.best_score:
+            self.best_score = results['score']
+            save_policy(
+                self.best,
+                policy,
+                self.record | {'progress': dict(progress), 'judged': dict(results)},
+            )
+        return {f'judge/{name}': value for name, value in results.items()}
 
     def write(self, line: Mapping[str, Any]) -> None:
         """Add a line to the curve, and its numbers to TensorBoard."""

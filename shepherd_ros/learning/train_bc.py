@@ -14,7 +14,6 @@ from shepherd_ros.learning.dataset import Report, stream_examples
 from shepherd_ros.learning.judge import judge
 from shepherd_ros.learning.run_folder import Run
 from shepherd_ros.learning.task import TaskConfig
-from shepherd_ros.policy.checkpoint import save_policy
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
 
@@ -49,7 +48,7 @@ def train_bc(
     dtype = fast_dtype()
     examples = Examples(policy, config.capacity, dtype)
     cloner = Cloner(policy, config.clone, config.seed)
-    begun, best, learned = time.monotonic(), -1e9, 0
+    begun, learned = time.monotonic(), 0
     report = Report()
     for epoch in range(config.epochs):
         report = Report()
@@ -74,11 +73,8 @@ def train_bc(
             'seconds': seconds,
             'seconds_left': seconds / (epoch + 1) * (config.epochs - epoch - 1),
             'loss': sum(losses) / len(losses),
-            **{f'judge/{name}': value for name, value in judged.items()},
         }
-        if judged['score'] >= best:
-            best = judged['score']
-            save_policy(run.best, policy, run.record | {'progress': line, 'judged': judged})
+        line |= run.judged(policy, judged, line)
         run.write(line)
         on_line(line)
     return report

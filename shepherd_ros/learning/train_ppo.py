@@ -8,15 +8,22 @@ import time
 from typing import Any
 
 from shepherd_ros.config import Config, option, part
+from shepherd_ros.learning.annealing import (
+    AnnealConfig,
+    same_horizon,
+    stage_at,
+    stages,
+)
 from shepherd_ros.learning.judge import judge
 from shepherd_ros.learning.ppo import Learner, PPOConfig
 from shepherd_ros.learning.rollout import Rollout
 from shepherd_ros.learning.run_folder import Run
 from shepherd_ros.learning.task import TaskConfig
-from shepherd_ros.policy.checkpoint import save_policy
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
 import torch
+
+STAGES_APART = 7919  # of seeds, from a stage to the next
 
 
 @dataclass(frozen=True)
@@ -33,7 +40,77 @@ class PPORunConfig(Config):
     judge_episodes: int = option(32, 'episodes of an evaluation', low=2)
     judge_steps: int = option(1000, 'steps of these episodes', low=1)
     task: TaskConfig = part(TaskConfig)
+    anneal: AnnealConfig = part(AnnealConfig)
     ppo: PPOConfig = part(PPOConfig)
+
+
+class Training:
+    """The policy, what it learns with, and the worlds of the present stage."""
+
+    def __init__(self, policy: Policy, config: PPORunConfig) -> None:
+        """Start in the first stage."""
+        self.policy, self.config = policy, config
+        self.dtype = fast_dtype()
+        self.stages = stages(policy.config, config.anneal)
+        self.learner = Learner(policy, config.ppo)
+        self.generator = torch.Generator().manual_seed(config.seed + 1)
+        self.progress = {'samples': 0, 'updates': 0, 'seconds': 0.0, 'world_steps': 0, 'stage': 0}
+        self.enter(0)
+
+    def enter(self, stage: int) -> None:
+        """Go on in a stage, with new worlds."""
+        config = self.config
+        self.progress['stage'] = stage
+        self.policy.pace(self.stages[stage])
+        self.rollout = Rollout(
+            config.task,
+            self.policy,
+            config.groups,
+            config.worlds,
+            config.decisions,
+            config.seed + stage * STAGES_APART,
+            self.dtype,
+        )
+
+    def round(self) -> dict[str, float]:
+        """Collect and learn once; return what to watch."""
+        config, repeat = self.config, self.policy.config.repeat
+        used = self.progress['samples'] / config.samples
+        stage = stage_at(used, len(self.stages), config.anneal)
+        if stage != self.progress['stage']:
+            self.enter(stage)
+            repeat = self.policy.config.repeat
+        begun = time.monotonic()
+        self.learner.slow_down(1 - used)
+        gamma = same_horizon(config.ppo.gamma, self.stages[0], self.policy.config)
+        scale = 100 * (1 - gamma) / repeat
+        batch, seen = self.rollout.collect(gamma, config.ppo.decay, scale)
+        collected = time.monotonic()
+        acting = self.progress['updates'] >= config.critic_first
+        seen |= self.learner.update(self.rollout, batch, self.generator, acting)
+        self.rollout.roll()
+        self.progress['samples'] += len(batch.value)
+        self.progress['updates'] += 1
+        self.progress['world_steps'] += config.groups * config.worlds * config.decisions * repeat
+        seen['rollout_share'] = (collected - begun) / (time.monotonic() - begun)
+        return seen | {'repeat': float(repeat)}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return all that training goes on from."""
+        return {
+            'learner': self.learner.state_dict(),
+            'rollout': self.rollout.state_dict(),
+            'generator': self.generator.get_state(),
+            'progress': dict(self.progress),
+        }
+
+    def load_state_dict(self, kept: dict[str, Any]) -> None:
+        """Go on from what state_dict() gave."""
+        self.progress = dict(kept['progress'])
+        self.enter(int(self.progress['stage']))
+        self.learner.load_state_dict(kept['learner'])
+        self.rollout.load_state_dict(kept['rollout'])
+        self.generator.set_state(kept['generator'])
 
 
 def train_ppo(
@@ -48,55 +125,29 @@ def train_ppo(
     The run's folder holds the state after each evaluation, and training goes on from there with
     the same numbers as if it had not been interrupted. The best checkpoint is beside it.
     """
-    dtype = fast_dtype()
-    learner = Learner(policy, config.ppo)
-    generator = torch.Generator().manual_seed(config.seed + 1)
-    rollout = Rollout(
-        config.task, policy, config.groups, config.worlds, config.decisions, config.seed, dtype
-    )
-    parts: dict[str, Learner | Rollout] = {'learner': learner, 'rollout': rollout}
-    progress = {'samples': 0, 'updates': 0, 'seconds': 0.0, 'best': -1e9, 'world_steps': 0}
+    training = Training(policy, config)
+    progress = training.progress
     kept = run.load()
     if kept is not None:
-        for name, holder in parts.items():
-            holder.load_state_dict(kept[name])
-        generator.set_state(kept['generator'])
-        progress = kept['progress']
-    scale = 100 * (1 - config.ppo.gamma) / policy.config.repeat
+        training.load_state_dict(kept)
+        progress = training.progress
+        run.best_score = kept['best_score']
     while progress['samples'] < config.samples:
         begun = time.monotonic()
-        learner.slow_down(1 - progress['samples'] / config.samples)
-        batch, seen = rollout.collect(config.ppo.gamma, config.ppo.decay, scale)
-        collected = time.monotonic()
-        acting = progress['updates'] >= config.critic_first
-        seen |= learner.update(rollout, batch, generator, acting)
-        rollout.roll()
-        progress['samples'] += len(batch.value)
-        progress['updates'] += 1
-        progress['world_steps'] += (
-            config.groups * config.worlds * config.decisions * policy.config.repeat
-        )
-        seen['rollout_share'] = (collected - begun) / (time.monotonic() - begun)
+        line: dict[str, Any] = training.round()
         last = progress['samples'] >= config.samples
-        judged = {}
-        if progress['updates'] % config.judge_every == 0 or last:
-            judged = judge(policy, config.task, config.judge_episodes, config.judge_steps, dtype)
+        due = last or progress['updates'] % config.judge_every == 0
+        if due:
+            results = judge(
+                policy, config.task, config.judge_episodes, config.judge_steps, training.dtype
+            )
         progress['seconds'] += time.monotonic() - begun
         rate = progress['samples'] / progress['seconds']
-        line = {
-            **progress,
-            'samples_per_second': rate,
-            'seconds_left': (config.samples - progress['samples']) / rate,
-            **seen,
-            **{f'judge/{name}': value for name, value in judged.items()},
-        }
-        if judged:
-            if judged['score'] > progress['best']:
-                progress['best'] = judged['score']
-                record = run.record | {'progress': dict(progress), 'judged': judged}
-                save_policy(run.best, policy, record)
-            states = {name: holder.state_dict() for name, holder in parts.items()}
-            run.save({**states, 'generator': generator.get_state(), 'progress': dict(progress)})
+        left = (config.samples - progress['samples']) / rate
+        line = {**progress, 'samples_per_second': rate, 'seconds_left': left, **line}
+        if due:
+            line |= run.judged(policy, results, progress)
+            run.save(training.state_dict() | {'best_score': run.best_score})
         run.write(line)
         on_line(line)
     return policy

@@ -65,6 +65,11 @@ class Policy(nn.Module):
         self.actor = Actor(shape, config.network)
         self.critic = Critic(shape, config.network)
 
+    def pace(self, config: PolicyConfig) -> None:
+        """Go on with another time that actions are held and other limits of their spread."""
+        self.config = config
+        self.actor.config = config.network
+
     def scaled(self, ranges: Tensor) -> Tensor:
         """Return ranges (...) m as the network sees them, before they are arranged."""
         return scaled_ranges(ranges, self.config.observation, self.config.lidar.range_max)

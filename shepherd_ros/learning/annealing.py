@@ -1,0 +1,58 @@
+"""How long an action is held in training: long at first, which explores, one step in the end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from shepherd_ros.config import Config, ConfigError, option
+from shepherd_ros.policy.policy import PolicyConfig
+
+
+@dataclass(frozen=True)
+class AnnealConfig(Config):
+    """
+    Options of the pace; all are choices.
+
+    Actions are held for as long as the policy says for a share of the samples; over the rest the
+    time is halved again and again, in stages of equal length.
+    """
+
+    first_share: float = option(
+        0.6, 'share of the samples before actions are held for shorter', low=0.0, high=1.0
+    )
+    last_repeat: int = option(1, 'steps that an action is held in the end', low=1)
+    last_std: float = option(
+        0.1, 'smallest standard deviation of an action in the last stage [m/s]', low=0.001
+    )
+
+
+def stages(first: PolicyConfig, config: AnnealConfig) -> list[PolicyConfig]:
+    """Return the policy's configuration in each stage; ConfigError if halving misses the end."""
+    paces = [first.repeat]
+    while paces[-1] >= 2 * config.last_repeat and paces[-1] % 2 == 0:
+        paces.append(paces[-1] // 2)
+    if paces[-1] > config.last_repeat:
+        raise ConfigError(
+            f'last_repeat is {config.last_repeat}: expected a number that halving repeat, '
+            f'{first.repeat}, comes to, such as {paces[-1]}'
+        )
+    low = first.network.min_std
+    result = [first]
+    for i, pace in enumerate(paces[1:], start=1):
+        share = i / (len(paces) - 1)
+        floor = min(low, low * (config.last_std / low) ** share)
+        result.append(replace(first, repeat=pace, network=replace(first.network, min_std=floor)))
+    return result
+
+
+def stage_at(share: float, count: int, config: AnnealConfig) -> int:
+    """Return which of so many stages it is when a share of the samples is used up."""
+    if share < config.first_share:
+        return 0
+    rest = (share - config.first_share) / max(1 - config.first_share, 1e-9)
+    return min(1 + int(rest * (count - 1)), count - 1)
+
+
+def same_horizon(gamma: float, first: PolicyConfig, now: PolicyConfig) -> float:
+    """Return the discount per decision that weighs a second as gamma does in the first stage."""
+    return gamma ** (now.repeat / first.repeat)

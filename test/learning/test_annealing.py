@@ -1,0 +1,48 @@
+"""Actions are held for shorter and shorter, with the same weight of a second."""
+
+from __future__ import annotations
+
+import pytest
+from shepherd_ros.config import ConfigError
+from shepherd_ros.learning.annealing import AnnealConfig, same_horizon, stage_at, stages
+from shepherd_ros.policy.network import NetworkConfig
+from shepherd_ros.policy.policy import PolicyConfig
+from shepherd_ros.sim.observation import ObservationConfig
+
+FIRST = PolicyConfig(
+    repeat=8, observation=ObservationConfig(spacing=8), network=NetworkConfig(min_std=0.4)
+)
+
+
+def test_the_time_is_halved_down_to_the_last() -> None:
+    found = stages(FIRST, AnnealConfig(last_repeat=1, last_std=0.05))
+    assert [stage.repeat for stage in found] == [8, 4, 2, 1]
+    # the floor of the spread falls by the same factor at each stage, 0.4 / 0.05 = 2 ** 3
+    assert [stage.network.min_std for stage in found] == pytest.approx([0.4, 0.2, 0.1, 0.05])
+    assert [stage.decisions_apart for stage in found] == [1, 2, 4, 8]
+    assert stages(FIRST, AnnealConfig(last_repeat=8)) == [FIRST]
+
+
+def test_a_policy_of_one_step_has_one_stage() -> None:
+    assert len(stages(PolicyConfig(), AnnealConfig())) == 1
+
+
+@pytest.mark.parametrize('last', [3, 5])
+def test_an_end_that_halving_misses_is_refused(last: int) -> None:
+    with pytest.raises(ConfigError, match=f'last_repeat is {last}: .* repeat, 8, comes to'):
+        stages(FIRST, AnnealConfig(last_repeat=last))
+
+
+def test_stages_share_what_the_first_leaves() -> None:
+    config = AnnealConfig(first_share=0.4)
+    shares = (0.0, 0.39, 0.4, 0.59, 0.61, 0.79, 0.81, 0.999, 1.0)
+    assert [stage_at(share, 4, config) for share in shares] == [0, 0, 1, 1, 2, 2, 3, 3, 3]
+    assert stage_at(0.9, 1, config) == 0
+    assert stage_at(0.99, 4, AnnealConfig(first_share=1.0)) == 0
+
+
+def test_a_second_weighs_the_same_in_all_stages() -> None:
+    for stage in stages(FIRST, AnnealConfig()):
+        gamma = same_horizon(0.9, FIRST, stage)
+        decisions = 16 // stage.repeat
+        assert gamma**decisions == pytest.approx(0.9**2)

@@ -1,0 +1,82 @@
+"""The verbs of `shepherd train`: what they take, what they print, and where they go on."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from shepherd_ros.cli import main
+from shepherd_ros.policy.checkpoint import load_policy, read_metadata
+
+NETWORK = (
+    '--policy.network.filters-1 2 --policy.network.filters-2 2 --policy.network.hidden 8 '
+    '--policy.lidar.n-rays 96'
+)
+TINY = (
+    '--samples 40 --groups 1 --worlds 2 --decisions 4 --judge-episodes 2 --judge-steps 8 '
+    '--judge-every 2 --sheep-min 3 --sheep-max 3 --shepherds-max 2 '
+    '--episode-steps 32 --minibatch 8'
+)
+LESSONS = (
+    '--rounds 2 --groups 1 --worlds 2 --steps 8 --shown 1 --taught-groups 0 --judge-every 1 '
+    '--judge-episodes 2 --judge-steps 8 --sheep-min 3 --sheep-max 3 '
+    '--shepherds-max 2 --batches 2 --minibatch 4'
+)
+
+
+def train(words: str, out: Path) -> int:
+    """Run a verb of training; return the exit code."""
+    return main(['train', *words.split(), '--out', str(out)])
+
+
+def test_ppo_from_scratch_holds_actions_for_shorter(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert train(f'ppo {NETWORK} {TINY}', tmp_path) == 0
+    said = capsys.readouterr().out
+    assert 'left' in said
+    assert f'the best policy is in {tmp_path / "best.safetensors"}' in said
+    lines = [json.loads(x) for x in (tmp_path / 'curve.jsonl').read_text().splitlines()]
+    paces = [line['repeat'] for line in lines]
+    assert paces[0] == 8.0
+    assert paces == sorted(paces, reverse=True)
+    assert paces[-1] < 8.0
+
+
+def test_training_goes_on_from_a_checkpoint_with_what_is_asked_changed(tmp_path: Path) -> None:
+    assert train(f'dagger {NETWORK} {LESSONS}', tmp_path / 'a') == 0
+    first = tmp_path / 'a' / 'best.safetensors'
+    words = f'--start {first} --policy.network.first-std 0.2 --actor-rate 0'
+    assert train(f'ppo {words} {TINY} --critic-first 99', tmp_path / 'b') == 0
+    start, end = load_policy(str(first)), load_policy(str(tmp_path / 'b' / 'best.safetensors'))
+    assert end.config.network.first_std == 0.2
+    assert end.config.network.filters_1 == 2
+    assert end.config.repeat == start.config.repeat == 1
+    for name, value in start.actor.state_dict().items():
+        assert value.equal(end.actor.state_dict()[name]), name
+    assert not start.critic.head.weight.equal(end.critic.head.weight)
+    _, record, _ = read_metadata(tmp_path / 'b' / 'best.safetensors')
+    assert record['config']['start'] == str(first)
+    assert record['command'].startswith('shepherd ')
+
+
+@pytest.mark.parametrize(
+    ('words', 'message'),
+    [
+        ('ppo --threads 0', '--threads is 0: expected at least 1'),
+        ('ppo --start nowhere', "checkpoint is 'nowhere': expected a .safetensors file"),
+        ('ppo --samples 0', r'samples is 0: expected a value in [1, inf]'),
+        ('ppo --last-repeat 3', 'last_repeat is 3: expected a number that halving'),
+        ('ppo --policy.repeat 3', 'spacing is 8: expected a multiple of repeat, 3'),
+        ('dagger --teacher shepard', "controller is 'shepard': expected one of"),
+        ('ppo --sheep-min 200', 'sheep_min is 200: expected at most sheep_max, 100'),
+        ('ppo --start imitation --policy.network.hidden 3', '--start imitation does not fit'),
+        ('bc', 'no bags are given: expected'),
+    ],
+)
+def test_a_mistake_is_named_with_a_way_out(
+    words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert train(words, tmp_path) == 2
+    assert message in capsys.readouterr().err
