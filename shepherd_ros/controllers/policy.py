@@ -48,6 +48,10 @@ class LearnedController(Controller):
         """Return the memory of a team that has seen nothing."""
         return pilot.begin(self.policy, seen.step.shape, seen.shepherds.shape[-2])
 
+    def look(self, seen: WorldState) -> Tensor:
+        """Return what the shepherds' lidars see, (..., H, 3, R) m."""
+        return scan(seen, self.policy.config.lidar)
+
     def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return new commands where it is time to decide, else the held ones; and memory."""
 
@@ -56,7 +60,7 @@ class LearnedController(Controller):
 
         return pilot.fly(
             self.policy,
-            lambda: scan(seen, self.policy.config.lidar),
+            lambda: self.look(seen),
             seen.shepherd_mask,
             memory,
             self.world.shepherd_speed,

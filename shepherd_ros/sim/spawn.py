@@ -15,16 +15,16 @@ def spawn(config: WorldConfig, seed: Tensor, dtype: torch.dtype = torch.float32)
     Return the first state of the episodes with these seeds; (...) int64.
 
     The flock's center lies in a random direction from the goal, the shepherds' center in a random
-    direction from the flock's; each agent is a signed normal distance from its center, in a random
-    direction. The k-th agent of a seed starts in the same place whatever the size of its group.
+    direction from the flock's (from its first group's, if it has several); each agent is a signed
+    normal distance from its center, in a random direction. The k-th agent of a seed starts in the same place whatever the size of its group.
     """
     device, zero = seed.device, torch.zeros_like(seed)
     n, m, start = config.n_sheep, config.n_shepherds, config.spawn
     one = torch.arange(2, device=device)
 
-    def center(stream: Stream, nearest: float, farthest: float) -> Tensor:
-        way = direction(seed, zero, stream, one[:1], torch.float64)[..., 0, :]
-        share = uniform(seed, zero, stream, one[1:], torch.float64)
+    def center(stream: Stream, nearest: float, farthest: float, group: int = 0) -> Tensor:
+        way = direction(seed, zero, stream, one[:1] + 2 * group, torch.float64)[..., 0, :]
+        share = uniform(seed, zero, stream, one[1:] + 2 * group, torch.float64)
         return way * (nearest + (farthest - nearest) * share)
 
     def around(stream: Stream, count: int) -> Tensor:
@@ -32,8 +32,11 @@ def spawn(config: WorldConfig, seed: Tensor, dtype: torch.dtype = torch.float32)
         distance = start.position_std * normal(seed, zero, stream, 2 * index, torch.float64)
         return direction(seed, zero, stream, 2 * index + 1, torch.float64) * distance[..., None]
 
-    flock = center(Stream.FLOCK_PLACE, start.flock_distance_min, start.flock_distance_max)
-    team = flock + center(
+    limits = (start.flock_distance_min, start.flock_distance_max)
+    groups = [center(Stream.FLOCK_PLACE, *limits, g) for g in range(start.flock_groups)]
+    # sheep k belongs to group k modulo their number; (..., N, 2) m
+    home = torch.stack(groups, dim=-2)[..., torch.arange(n, device=device) % len(groups), :]
+    team = groups[0] + center(
         Stream.SHEPHERD_PLACE, start.shepherd_distance_min, start.shepherd_distance_max
     )
     extra = uniform(seed, zero, Stream.GOAL_RADIUS, one[:1], torch.float64)[..., 0]
@@ -45,7 +48,7 @@ def spawn(config: WorldConfig, seed: Tensor, dtype: torch.dtype = torch.float32)
     return WorldState(
         seed=seed,
         step=zero,
-        sheep=(flock[..., None, :] + around(Stream.SHEEP_POSITION, n)).to(dtype),
+        sheep=(home + around(Stream.SHEEP_POSITION, n)).to(dtype),
         heading=model_of(config.flock).first_heading(seed, n, config.flock).to(dtype),
         sheep_mask=torch.ones((*seed.shape, n), dtype=torch.bool, device=device),
         shepherds=(shepherds * shepherd_mask[..., None]).to(dtype),

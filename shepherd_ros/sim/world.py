@@ -26,6 +26,9 @@ class SpawnConfig(Config):
     position_std: float = option(
         1.0, 'standard deviation of the signed distance of an agent to its group [m]', low=0.0
     )
+    flock_groups: int = option(
+        1, 'groups that the flock starts in, each with a center of its own (choice)', low=1
+    )
     goal_radius_extra: float = option(
         0.0, 'goal radius is uniform in goal_radius + [0, this] [m]; 4 in training', low=0.0
     )

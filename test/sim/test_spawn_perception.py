@@ -56,6 +56,19 @@ def test_the_shepherds_start_five_to_ten_meters_from_the_flock_in_any_direction(
     assert wrap(relative).mean().abs() < 0.15  # independent of where the flock is
 
 
+def test_a_flock_in_groups_has_a_center_for_each_and_the_first_is_that_of_a_whole_one() -> None:
+    whole = starts(WorldConfig(n_sheep=6, spawn=TIGHT))
+    parted = starts(WorldConfig(n_sheep=6, spawn=replace(TIGHT, flock_groups=2)))
+    assert torch.equal(parted.sheep[:, ::2], whole.sheep[:, ::2])
+    assert torch.equal(parted.shepherds, whole.shepherds)
+    other = parted.sheep[:, 1::2]
+    assert torch.equal(other, other[:, :1].expand_as(other))
+    distance = other[:, 0].norm(dim=-1)
+    assert 10.0 - 1e-9 <= distance.min() <= distance.max() <= 20.0
+    turn = wrap(bearing(other[:, 0]) - bearing(whole.center))
+    assert is_even_all_round(from_bearing(turn))
+
+
 def test_everyone_starts_a_normal_distance_from_the_group_in_any_direction() -> None:
     config = WorldConfig(n_sheep=10, n_shepherds=5, spawn=SpawnConfig(position_std=2.0))
     state, middle = starts(config), starts(replace(config, spawn=TIGHT))
