@@ -10,6 +10,7 @@ from shepherd_ros.learning.rollout import Batch, log_prob, Rollout
 from shepherd_ros.policy.policy import Policy
 import torch
 from torch import nn, Tensor
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,12 @@ class PPOConfig(Config):
     critic_rate: float = option(3e-4, 'learning rate of the critic at first', low=0.0)
     entropy: float = option(0.002, 'weight of the entropy', low=0.0)
     longest_gradient: float = option(0.5, 'gradients are cut to this norm', low=0.0)
+    average: float = option(
+        0.995,
+        'the policy that is kept is a running mean of the weights, by this',
+        low=0.0,
+        high=1.0,
+    )
     target_kl: float = option(0.04, 'the actor rests for the update beyond this', low=0.0)
 
 
@@ -51,17 +58,34 @@ class Learner:
         self.policy, self.config = policy, config
         self.actor = torch.optim.Adam(policy.actor.parameters(), config.actor_rate, eps=1e-5)
         self.critic = torch.optim.Adam(policy.critic.parameters(), config.critic_rate, eps=1e-5)
+        self.average = AveragedModel(
+            policy.actor, multi_avg_fn=get_ema_multi_avg_fn(config.average)
+        )
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that learning goes on from."""
-        parts: dict[str, Any] = {'policy': self.policy, 'actor': self.actor, 'critic': self.critic}
-        return {name: part.state_dict() for name, part in parts.items()}
+        return {name: part.state_dict() for name, part in self._parts().items()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from what state_dict() gave."""
-        self.policy.load_state_dict(state['policy'])
-        self.actor.load_state_dict(state['actor'])
-        self.critic.load_state_dict(state['critic'])
+        for name, part in self._parts().items():
+            part.load_state_dict(state[name])
+
+    def _parts(self) -> dict[str, Any]:
+        """Return what has a state, by name."""
+        return {
+            'policy': self.policy,
+            'actor': self.actor,
+            'critic': self.critic,
+            'average': self.average,
+        }
+
+    def averaged(self) -> Policy:
+        """Return a policy of its own with the running mean of the actor's weights."""
+        policy = Policy(self.policy.config)
+        policy.actor.load_state_dict(self.average.module.state_dict())
+        policy.critic.load_state_dict(self.policy.critic.state_dict())
+        return policy
 
     def slow_down(self, share: float) -> None:
         """Set the learning rates to a share of those at first."""
@@ -97,6 +121,7 @@ class Learner:
                         seen['std'].append(float(std.detach().mean()))
                         loss = loss - config.entropy * std.log().sum(dim=-1).mean()
                         self._descend(self.actor, self.policy.actor, loss)
+                        self.average.update_parameters(self.policy.actor)
                 error = (self.policy.critic(x) - target[chosen]).square().mean()
                 seen['critic_loss'].append(float(error.detach()))
                 self._descend(self.critic, self.policy.critic, error)

@@ -33,8 +33,8 @@ class PPORunConfig(Config):
     seed: int = option(0, 'seed of weights, worlds and order', low=0)
     samples: int = option(2_000_000, 'decisions of single shepherds to learn from', low=1)
     groups: int = option(4, 'groups of worlds; those of one share what is drawn', low=1)
-    worlds: int = option(18, 'worlds of a group', low=1)
-    decisions: int = option(48, 'decisions of each shepherd between updates', low=1)
+    worlds: int = option(36, 'worlds of a group', low=1)
+    decisions: int = option(24, 'decisions of each shepherd between updates', low=1)
     critic_first: int = option(0, 'updates in which only the critic learns', low=0)
     judge_every: int = option(10, 'updates from one evaluation to the next', low=1)
     judge_episodes: int = option(32, 'episodes of an evaluation', low=2)
@@ -122,6 +122,7 @@ def train_ppo(
     """
     Learn until the samples are used up; return the policy, which is changed in place.
 
+    What is judged and kept is a running mean of the weights, which is steadier than the newest.
     The run's folder holds the state after each evaluation, and training goes on from there with
     the same numbers as if it had not been interrupted. The best checkpoint is beside it.
     """
@@ -138,15 +139,16 @@ def train_ppo(
         last = progress['samples'] >= config.samples
         due = last or progress['updates'] % config.judge_every == 0
         if due:
+            kept_policy = training.learner.averaged()
             results = judge(
-                policy, config.task, config.judge_episodes, config.judge_steps, training.dtype
+                kept_policy, config.task, config.judge_episodes, config.judge_steps, training.dtype
             )
         progress['seconds'] += time.monotonic() - begun
         rate = progress['samples'] / progress['seconds']
         left = (config.samples - progress['samples']) / rate
         line = {**progress, 'samples_per_second': rate, 'seconds_left': left, **line}
         if due:
-            line |= run.judged(policy, results, progress)
+            line |= run.judged(kept_policy, results, progress)
             run.save(training.state_dict() | {'best_score': run.best_score})
         run.write(line)
         on_line(line)

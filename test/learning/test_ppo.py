@@ -115,3 +115,28 @@ def test_ppo_learns_to_go_to_the_goal() -> None:
     before, after = sum(rewards[:4]) / 4, sum(rewards[-4:]) / 4
     assert before < -1.0  # ten metres and more away
     assert after > before / 2, (before, after)
+
+
+def test_the_kept_policy_is_the_running_mean_of_the_weights() -> None:
+    torch.manual_seed(3)
+    policy = Policy(
+        PolicyConfig(
+            lidar=LidarConfig(n_rays=96),
+            observation=ObservationConfig(n_frames=1),
+            network=NetworkConfig(filters_1=2, filters_2=2, hidden=4),
+        )
+    )
+    learner = Learner(policy, PPOConfig(average=0.75))
+    bias = policy.actor.head.bias
+    expected = torch.zeros(4)
+    for k in range(3):
+        with torch.no_grad():
+            bias += torch.arange(4.0)
+        learner.average.update_parameters(policy.actor)
+        # the first value is taken over whole
+        expected = bias.clone() if k == 0 else 0.75 * expected + 0.25 * bias
+    kept = learner.averaged()
+    torch.testing.assert_close(kept.actor.head.bias, expected)
+    assert bias.tolist() == [0, 3, 6, 9]  # learning itself goes on from the newest
+    for name, value in policy.critic.state_dict().items():
+        assert value.equal(kept.critic.state_dict()[name])
