@@ -23,6 +23,10 @@ from shepherd_ros.sim.world import WorldConfig
 import torch
 from torch import Tensor
 
+FULL_SPEED = 10.0  # [m] a way so long is gone at the top speed
+FRONT = 1.0  # [rad] a stray so near the bearing of a place on the ring is pushed back from there
+NEARLY_ON_RING = 0.5  # [m] so near a ring, or half a smaller one, the way along it begins
+
 
 @dataclass(frozen=True)
 class DroverConfig(Config):
@@ -112,7 +116,7 @@ class DroverController(Controller):
         off = torch.remainder(stray - edge[..., None], spacing[..., None])
         off = torch.minimum(off, spacing[..., None] - off)
         outside = gap > self.config.patience
-        watched = (outside & (off < 1.0)).any(dim=-1) | ~outside.any(dim=-1)
+        watched = (outside & (off < FRONT)).any(dim=-1) | ~outside.any(dim=-1)
         farthest = stray.gather(-1, gap.argmax(dim=-1, keepdim=True))[..., 0]
         turned = farthest + (seen.team_size - 1) / 2 * spacing
         return torch.where(watched | (seen.team_size > 2), ring, turned)
@@ -124,8 +128,9 @@ class DroverController(Controller):
         angle = bearing(from_goal)
         turn = wrap(place - angle)
         step = self.world.shepherd_speed * self.world.dt / stand
+        near = torch.full_like(stand, NEARLY_ON_RING)
         nearer = (stand - distance).clamp(-step * stand, step * stand)
-        outside = distance + nearer >= stand - 0.5 * stand.clamp(max=1.0)
+        outside = distance + nearer >= stand - torch.minimum(stand / 2, near)
         turn = torch.where(outside, turn.clamp(-step, step), 0.0)
         there = seen.goal[..., None, :] + (distance + nearer)[..., None] * from_bearing(
             angle + turn
@@ -146,7 +151,7 @@ class DroverController(Controller):
         side = torch.where(turn >= 0, 1.0, -1.0) * (math.pi / 2)
         tangent = from_bearing(bearing(from_center) + side)
         outward = unit(from_center) * ((clear - distance).clamp(0.0, 1.0))[..., None]
-        return torch.where(blocked[..., None], (tangent + outward) * 10.0, straight)
+        return torch.where(blocked[..., None], (tangent + outward) * FULL_SPEED, straight)
 
 
 CONTROLLER = DroverController

@@ -1,0 +1,145 @@
+"""The drover: where it stands, how it gets there, and that it lets go."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import math
+from typing import Any
+
+import pytest
+from reference import state_of
+from shepherd_ros.controllers import make_controller
+from shepherd_ros.controllers.base import Memory
+from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
+from shepherd_ros.sim.reward import distance_to_rim
+from shepherd_ros.sim.spawn import spawn
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.transition import step
+from shepherd_ros.sim.world import WorldConfig
+import torch
+from torch import Tensor
+
+WORLD = WorldConfig(n_sheep=4, n_shepherds=1)
+NOTICE = 65 / 3  # the Strömbom flock's r_s [m]
+
+
+def square(x: float, y: float, half: float = 1.0) -> list[tuple[float, float]]:
+    """Return four sheep around a point, sqrt(2) half from it."""
+    return [(x - half, y - half), (x - half, y + half), (x + half, y - half), (x + half, y + half)]
+
+
+def scene(sheep: list[tuple[float, float]], shepherds: list[tuple[float, float]]) -> WorldState:
+    """Return a state with the goal (4 m) at the origin."""
+    return state_of(sheep, shepherds, goal_radius=4.0)
+
+
+def settle(
+    state: WorldState, steps: int, world: WorldConfig = WORLD, **options: Any
+) -> tuple[Tensor, list[Tensor]]:
+    """Let shepherds move among still sheep; return the last places, (2,) of one, and all."""
+    controller = make_controller('drover', world, **options)
+    memory: Memory = controller.begin(state)
+    track = [state.shepherds]
+    for _ in range(steps):
+        command, memory = controller.act(state, memory)
+        assert float(command.norm(dim=-1).max()) <= 1.0 + 1e-5
+        state = replace(state, shepherds=state.shepherds + command * world.dt)
+        track.append(state.shepherds)
+    return state.shepherds.squeeze(0), track
+
+
+def test_one_shepherd_stands_behind_the_flock_as_far_as_it_is_noticed() -> None:
+    # center 10 m from the goal, farthest sheep sqrt(2) m from it, 4 m more: 15.4 m < r_s
+    place, _ = settle(scene(square(10, 0), [(14.0, 3.0)]), 200)
+    assert place.tolist() == pytest.approx([NOTICE, 0.0], abs=0.05)
+
+
+def test_far_away_it_keeps_the_stand_off() -> None:
+    # 30 + sqrt(2) + 6 m from the goal is more than r_s
+    place, _ = settle(scene(square(0, 30), [(3.0, 40.0)]), 200, stand_off=6.0)
+    assert place.tolist() == pytest.approx([0.0, 36 + math.sqrt(2)], abs=0.05)
+
+
+def test_it_goes_round_the_flock_and_not_through_it() -> None:
+    sheep = square(10, 0)
+    place, track = settle(scene(sheep, [(0.0, 0.1)]), 300)
+    assert place.tolist() == pytest.approx([NOTICE, 0.0], abs=0.05)
+    center = torch.tensor([10.0, 0.0])
+    nearest = min(float((at - center).norm(dim=-1)) for at in track)
+    assert nearest > math.sqrt(2) + 4 - 0.6  # a step of half a metre may cut the circle
+
+
+def test_three_stand_on_an_arc_with_the_chosen_angle() -> None:
+    world = replace(WORLD, n_shepherds=3)
+    state = scene(square(10, 0), [(20.0, -2.0), (20.0, 0.0), (20.0, 2.0)])
+    places, _ = settle(state, 200, world, spacing=0.3)
+    assert places.norm(dim=-1).tolist() == pytest.approx([NOTICE] * 3, abs=0.05)
+    bearing = torch.atan2(places[:, 1], places[:, 0])
+    assert bearing.tolist() == pytest.approx([-0.3, 0.0, 0.3], abs=0.01)
+
+
+def test_with_the_flock_home_the_team_closes_a_ring_from_where_no_sheep_is_moved() -> None:
+    world = replace(WORLD, n_shepherds=3)
+    state = scene(square(0, 0), [(20.0, -2.0), (20.0, 0.0), (20.0, 2.0)])
+    places, track = settle(state, 400, world)
+    edge = NOTICE + 0.45 * 4.0
+    assert places.norm(dim=-1).tolist() == pytest.approx([edge] * 3, abs=0.05)
+    bearing = torch.atan2(places[:, 1], places[:, 0]).sort().values
+    gaps = torch.cat([bearing.diff(), bearing[:1] + 2 * math.pi - bearing[-1:]])
+    assert gaps.tolist() == pytest.approx([2 * math.pi / 3] * 3, abs=0.02)
+    # once out there nobody cuts through
+    out = [float(at.norm(dim=-1).min()) for at in track]
+    assert min(out[20:]) > NOTICE
+
+
+@pytest.mark.parametrize(('inside', 'home'), [(3, False), (4, True)])
+def test_it_lets_go_when_enough_are_inside(inside: int, home: bool) -> None:
+    sheep = [(0.0, 0.5 * k) for k in range(inside)] + [(6.0, 0.0)] * (5 - inside)
+    world = WorldConfig(n_sheep=5, n_shepherds=1)
+    controller = make_controller('drover', world)
+    state = scene(sheep, [(20.0, 0.0)])
+    _, memory = controller.act(state, controller.begin(state))
+    assert bool(memory['home']) is home
+
+
+def test_a_few_that_stray_do_not_make_it_drive_again() -> None:
+    world = WorldConfig(n_sheep=5, n_shepherds=1)
+    controller = make_controller('drover', world)
+    home = scene([(0.0, 0.0)] * 5, [(23.0, 0.0)])
+    _, memory = controller.act(home, controller.begin(home))
+    for outside, stays in [(2, True), (3, False)]:  # 0.6 and 0.4 inside, 0.5 is the limit
+        strays = scene([(0.0, 0.0)] * (5 - outside) + [(6.0, 0.0)] * outside, [(23.0, 0.0)])
+        _, after = controller.act(strays, memory)
+        assert bool(after['home']) is stays
+
+
+def test_a_lone_shepherd_turns_to_the_farthest_stray() -> None:
+    home = scene([(0.0, 0.0)] * 9 + [(0.0, 6.0)], [(24.0, 0.0)])
+    world = WorldConfig(n_sheep=10, n_shepherds=1)
+    place, _ = settle(home, 400, world)
+    assert place.tolist() == pytest.approx([0.0, NOTICE + 0.45 * 4], abs=0.3)
+
+
+def test_how_near_sheep_notice_is_that_of_the_flock_or_what_is_given() -> None:
+    world = replace(WORLD, flock=ReynoldsFlock())
+    place, _ = settle(scene(square(1, 0), [(9.0, 0.0)]), 100, world, arrived=1.0)
+    assert place.norm().item() == pytest.approx(7.5 + 0.45 * 4, abs=0.1)  # all four are inside
+    place, _ = settle(scene(square(10, 0), [(30.0, 0.0)]), 100, notice=25.0)
+    assert place.tolist() == pytest.approx([25.0, 0.0], abs=0.05)
+
+
+def test_a_flock_is_brought_home_and_comes_to_rest() -> None:
+    world = WorldConfig(n_sheep=50, n_shepherds=3)
+    controller = make_controller('drover', world)
+    state = spawn(world, torch.arange(8))
+    memory = controller.begin(state)
+    moved = torch.zeros(())
+    for k in range(500):
+        command, memory = controller.act(state, memory)
+        after = step(state, command, world)
+        if k >= 400:
+            moved = moved + (after.sheep - state.sheep).norm(dim=-1).mean() / 100
+        state = after
+    assert float((distance_to_rim(state) <= 0).float().mean()) > 0.98
+    # grazing sheep take a random step now and then, driven ones make 1/6 m each time
+    assert float(moved) < 1 / 6 / 4
