@@ -64,13 +64,14 @@ def one_namespace(bag: Bag, namespace: str | None) -> str:
     return namespace
 
 
-def iter_episodes(bag: Bag, namespace: str | None = None) -> Iterator[Episode]:
+def iter_episodes(bag: Bag, namespace: str | None = None, labels: str = '') -> Iterator[Episode]:
     """
     Yield the episodes of a bag in the order of the recording; raises BagError.
 
-    States without poses of both kinds are left out: check_bag() tells of them.
+    States without poses of both kinds are left out: check_bag() tells of them. The commands are
+    those in namespace labels, inside the other one; those that were driven if it is empty.
     """
-    for group in Groups(bag, one_namespace(bag, namespace)):
+    for group in Groups(bag, one_namespace(bag, namespace), labels=labels):
         yield episode_of(bag, group)
 
 

@@ -144,22 +144,37 @@ class Groups:
     """
     The episodes of a namespace in the order of the recording; iterating raises BagError.
 
-    parts are names of the contract that are read; keep: also the bytes of poses and scans. The
-    episode being read is in memory, and the one before until it is settled.
+    parts are names of the contract that are read; keep: also the bytes of poses and scans; labels:
+    the namespace, inside the other one, of the commands that are read instead of those that were
+    driven. The episode being read is in memory, and the one before until it is settled.
     """
 
     def __init__(
-        self, bag: Bag, namespace: str = '', parts: Collection[str] = ALL, keep: bool = False
+        self,
+        bag: Bag,
+        namespace: str = '',
+        parts: Collection[str] = ALL,
+        keep: bool = False,
+        labels: str = '',
     ) -> None:
-        """Find out which topics are wanted."""
+        """Find out which topics are wanted; raises BagError without any command in labels."""
         self.bag, self.namespace, self.keep = bag, namespace, keep
         self.stray: Counter[str] = Counter()  # messages that are of no episode, by topic
+        said = f'{namespace}/{labels}' if labels else namespace
         self.wanted = {
             name: ours
             for name in bag.topics
             for ours in [known(name)]
-            if ours and ours.namespace == namespace and ours.topic.name in parts
+            if ours
+            and ours.topic.name in parts
+            and ours.namespace == (said if ours.topic.name == COMMANDS else namespace)
         }
+        if labels and not any(ours.topic.name == COMMANDS for ours in self.wanted.values()):
+            raise BagError(
+                bag.path,
+                f'labels is {labels!r}, but it has no topic {said}/shepherd_<h>/cmd_vel',
+                'use labels of a recording that has them, such as those of train dagger --visited',
+            )
 
     def __iter__(self) -> Iterator[Group]:
         """Yield one episode after another."""

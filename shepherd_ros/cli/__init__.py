@@ -29,6 +29,7 @@ def main(arguments: list[str] | None = None) -> int:
     from shepherd_ros.cli.bag import BagVerbs
     from shepherd_ros.cli.checkpoint import CheckpointVerbs
     from shepherd_ros.cli.counterfactual import Counterfactual
+    from shepherd_ros.cli.dataset import DatasetVerbs
     from shepherd_ros.cli.demo import Demo
     from shepherd_ros.cli.evaluate import Evaluate
     from shepherd_ros.cli.record import Record
@@ -42,6 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
         'replay': Replay,
         'counterfactual': Counterfactual,
         'bag': BagVerbs,
+        'dataset': DatasetVerbs,
         'train': Train,
         'checkpoint': CheckpointVerbs,
     }

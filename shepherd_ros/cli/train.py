@@ -68,7 +68,7 @@ def verb(
 
     rows: list[Any] = []
     if bags:
-        help_text = 'Bags, or folders of bags.'
+        help_text = 'Bags, folders of bags, or data sets of `shepherd dataset build`.'
         positional = Annotated[tuple[Path, ...], tyro.conf.arg(help=help_text)]
         rows.append(('bags', tyro.conf.Positional[positional], ()))
     policy_arguments, config = arguments_of(policy), arguments_of(kind())

@@ -47,11 +47,13 @@ class EpisodeBag:
         self.now_ns = 0
         self.goal: list[float] = []
 
-    def put(self, topic: str, content: bytes, shepherd: int | None = None) -> None:
+    def put(
+        self, topic: str, content: bytes, shepherd: int | None = None, namespace: str = ''
+    ) -> None:
         """Write a message of a topic of the contract at the present time."""
         topics, profiles = contract()
         row = topics[topic]
-        name = '/' + topic.format(h=shepherd).lstrip('/')
+        name = f'{namespace}/' + topic.format(h=shepherd).lstrip('/')
         self.writer.add_topic(name, row.type, [Qos.of_profile(profiles[row.profile])])
         self.writer.write(name, content, self.now_ns, self.now_ns)
 
@@ -63,12 +65,13 @@ class EpisodeBag:
         commands: Sequence[Sequence[float] | None],
         metrics: Mapping[str, float],
         range_max: float,
+        labels: tuple[str, Sequence[Sequence[float]]] = ('', ()),
     ) -> None:
         """
         Write a state, what was seen of it, what was commanded and how it counts.
 
         The state before gives the shepherds' headings; ranges (3, R) m and commands (2,) m/s are
-        those of each shepherd.
+        those of each shepherd, and so are labels, in a namespace: what another one would command.
         """
         episode = self.episode
         frame, team = episode.frame_id, episode.n_shepherds
@@ -93,6 +96,9 @@ class EpisodeBag:
         for h, command in enumerate(commands[:team]):
             if command is not None:
                 self.put('shepherd_{h}/cmd_vel', encode_command(ns, frame, *command), h)
+        for h, command in enumerate(labels[1][:team]):
+            content = encode_command(ns, frame, *command)
+            self.put('shepherd_{h}/cmd_vel', content, h, f'/{labels[0]}')
         for name, value in metrics.items():
             self.put(f'metrics/{name}', encode_number(value))
 
@@ -117,18 +123,29 @@ def record_episodes(
     """
     world = config.world
     start = spawn(world, torch.arange(seeds.start, seeds.stop))
-    unfinished = [out / f'.{episode_folder(out, seed).name}' for seed in seeds]
-    for folder in unfinished:  # left by a run that was killed
-        shutil.rmtree(folder, ignore_errors=True)
-    bags = [
-        EpisodeBag(folder, describe(world, start.world(k), seed), compression)
-        for k, (folder, seed) in enumerate(zip(unfinished, seeds, strict=True))
-    ]
+    bags = open_bags(out, world, start, compression)
     memory = controller.begin(perceive(start, config.noise_std))
     drive(bags, config, controller, Moment(start, start, start_tally(start), memory), {}, on_step)
-    for bag, folder, seed in zip(bags, unfinished, seeds, strict=True):
+    close_bags(out, bags)
+
+
+def open_bags(
+    out: Path, world: WorldConfig, start: WorldState, compression: str
+) -> list[EpisodeBag]:
+    """Return an unfinished bag for each world (B) that starts."""
+    bags = []
+    for k, seed in enumerate(start.seed.tolist()):
+        folder = out / f'.{episode_folder(out, seed).name}'
+        shutil.rmtree(folder, ignore_errors=True)  # left by a run that was killed
+        bags.append(EpisodeBag(folder, describe(world, start.world(k), seed), compression))
+    return bags
+
+
+def close_bags(out: Path, bags: Sequence[EpisodeBag]) -> None:
+    """Finish bags and give them the names of their seeds."""
+    for bag in bags:
         bag.writer.close()
-        folder.rename(episode_folder(out, seed))
+        bag.writer.folder.rename(episode_folder(out, bag.episode.seed))
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from shepherd_ros.learning.judge import judge
 from shepherd_ros.learning.rollout import Group, team_reward
 from shepherd_ros.learning.run_folder import Run
 from shepherd_ros.learning.task import TaskConfig
+from shepherd_ros.learning.visited import Visits
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
@@ -45,6 +46,7 @@ class DaggerConfig(Config):
     judge_every: int = option(10, 'rounds from one evaluation to the next', low=1)
     judge_episodes: int = option(32, 'episodes of an evaluation', low=2)
     judge_steps: int = option(1000, 'steps of these episodes', low=1)
+    visited: str = option('', 'folder for bags of all that is driven, with labels; empty: none')
     task: TaskConfig = part(TaskConfig)
     clone: CloneConfig = part(CloneConfig)
 
@@ -65,6 +67,7 @@ class Lesson:
         self.config, self.policy, self.dtype = config, policy, dtype
         self.group = Group(config.task, index, config.worlds, config.seed)
         self.full = config.task.episode_steps
+        self.visits = Visits(config.visited, policy.config.lidar)
         self._begin(max(self.full * (index + 1) // config.groups, 1))
 
     def _begin(self, steps: int) -> None:
@@ -92,7 +95,9 @@ class Lesson:
                 first = self.policy.first_ray(frames[:, -1])
                 wanted = turned(label[present], -first, frames.shape[-1])
                 examples.add(self.policy.scaled(frames), first, wanted)
-            self.group.advance(label if teacher_drives else command, 1, team_reward)
+            driven = label if teacher_drives else command
+            self.visits.add(self.group, driven, label)
+            self.group.advance(driven, 1, team_reward)
             if self.group.left <= 0:
                 self._begin(self.full)
 
@@ -129,4 +134,6 @@ def train_dagger(
             line |= run.judged(policy, judged, line)
         run.write(line)
         on_line(line)
+    for lesson in lessons:
+        lesson.visits.close()
     return policy

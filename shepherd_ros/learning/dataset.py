@@ -1,161 +1,207 @@
-"""Bags as examples: what each shepherd saw, and what it was told to do."""
+"""Recordings as examples: what each shepherd saw, and what it was told to do."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 import random
 
 import numpy as np
-from shepherd_ros.bags.episodes import Episode, iter_episodes
+from shepherd_ros.bags.built import Dataset, is_dataset, open_dataset
+from shepherd_ros.bags.episodes import iter_episodes
+from shepherd_ros.bags.lerobot import DatasetWriter
 from shepherd_ros.bags.metadata import FILE
 from shepherd_ros.bags.reader import open_bag
+from shepherd_ros.bags.steps import Refuse, Steps, steps_of
 from shepherd_ros.config import ConfigError
+from shepherd_ros.learning.report import Report
 from shepherd_ros.policy.policy import Policy, PolicyConfig
-from shepherd_ros.sim.observation import turned
+from shepherd_ros.sim.observation import ObservationConfig, turned
 import torch
 from torch import Tensor
 
 
-@dataclass
-class Report:
-    """What was found in bags, counted while they are read."""
+@dataclass(frozen=True)
+class Source:
+    """A bag, or the part of a data set that was built from it."""
 
-    bags: int = 0
-    episodes: int = 0
-    steps: int = 0  # of single shepherds
-    examples: int = 0
-    drops: Counter[str] = field(default_factory=Counter)  # reason -> steps
-    first_drop: dict[str, str] = field(default_factory=dict)  # reason -> where
-    speed: float = 0.0  # sum of the speeds [m/s]
-
-    def drop(self, reason: str, where: str) -> None:
-        """Count a step that is no example."""
-        self.drops[reason] += 1
-        self.first_drop.setdefault(reason, where)
-
-    def text(self) -> str:
-        """Return the report in lines."""
-        lines = [
-            f'bags:      {self.bags}',
-            f'episodes:  {self.episodes}',
-            f'steps:     {self.steps} (of single shepherds)',
-            f'examples:  {self.examples}',
-            f'speed:     {self.speed / max(self.examples, 1):.3f} m/s in the mean',
-        ]
-        lines += [
-            f'dropped:   {count} steps, {reason}; first: {self.first_drop[reason]}'
-            for reason, count in self.drops.most_common()
-        ]
-        return '\n'.join(lines)
+    name: str
+    read: Callable[[Refuse], Iterator[Steps]]  # one episode in memory at a time
 
 
 @dataclass(frozen=True)
 class EpisodeExamples:
     """The examples of one episode; frames are kept once."""
 
-    readings: Tensor  # (T, H, 3, R) m, +inf on free rays
-    at: Tensor  # (n, 2) int64: row of the newest frame, shepherd
-    rows: Tensor  # (n, K) int64: rows of the frames, oldest first
-    wanted: Tensor  # (n, 2) m/s, world frame
+    lidar: Tensor  # (n, 3, R) m, +inf on free rays
+    rows: Tensor  # (m, K) int64: the frames of each example, oldest first
+    wanted: Tensor  # (m, 2) m/s, world frame
 
     def __len__(self) -> int:
         """Return how many examples there are."""
-        return len(self.at)
+        return len(self.rows)
 
     def frames(self) -> Tensor:
-        """Return the stacks of all examples, (n, K, 3, R) m."""
-        return self.readings[self.rows, self.at[:, 1:]]
+        """Return the stacks of all examples, (m, K, 3, R) m."""
+        return self.lidar[self.rows]
 
 
-def bag_folders(places: Sequence[Path]) -> list[Path]:
-    """Return the bags at places: bags themselves, or folders of bags; raises ConfigError."""
+def bag_folders(place: Path) -> list[Path]:
+    """Return the bags at a place: a bag itself, or a folder of bags; raises ConfigError."""
+    if place.suffix == '.mcap' or (place / FILE).exists():
+        return [place]
+    inside = sorted(path.parent for path in place.glob(f'*/{FILE}'))
+    if not inside:
+        raise ConfigError(
+            f'{place}: expected a bag, a folder of bags, as shepherd record writes, or a data '
+            'set, as shepherd dataset build writes'
+        )
+    return inside
+
+
+def sources(places: Sequence[Path], labels: str = '') -> list[Source]:
+    """
+    Return the bags at places, which are bags, folders of bags or data sets.
+
+    labels is the namespace of the commands to learn, empty for those that were driven. Raises
+    ConfigError for what is none of them, or was built with other labels.
+    """
     found = []
     for place in places:
-        if place.suffix == '.mcap' or (place / FILE).exists():
-            found.append(place)
+        if not is_dataset(place):
+            bags = bag_folders(place)
+            found += [Source(path.name, partial(bag_steps, path, labels)) for path in bags]
             continue
-        inside = sorted(path.parent for path in place.glob(f'*/{FILE}'))
-        if not inside:
+        built = open_dataset(place)
+        if built.labels != labels:
             raise ConfigError(
-                f'{place}: expected a bag or a folder of bags, as shepherd record writes'
+                f'{place}: its labels are {built.labels!r}, expected {labels!r}; give --labels '
+                f'{built.labels!r}, or build it with --labels {labels!r}'
             )
-        found += inside
+        for name, part in built.bags():
+            found.append(Source(name, partial(built_steps, built, part)))
     return found
 
 
-def episode_examples(
-    episode: Episode, config: PolicyConfig, report: Report, where: str
+def bag_steps(path: Path, labels: str, refuse: Refuse) -> Iterator[Steps]:
+    """Yield the whole steps of the episodes of a bag; raises ConfigError."""
+    for number, episode in enumerate(iter_episodes(open_bag(path), labels=labels)):
+        yield steps_of(episode, path.name, number, refuse)
+
+
+def built_steps(built: Dataset, part: slice, refuse: Refuse) -> Iterator[Steps]:
+    """Yield the steps of the episodes among some runs of a data set, which are all whole."""
+    return built.steps(part)
+
+
+def stream_steps(
+    places: Sequence[Path], report: Report, seed: int | None = None, labels: str = ''
+) -> Iterator[tuple[Source, Steps]]:
+    """
+    Yield the whole steps of each episode and where they are from; raises ConfigError.
+
+    One episode is in memory at a time; with a seed, bags come in random order.
+    """
+    found = sources(places, labels)
+    if seed is not None:
+        random.Random(seed).shuffle(found)
+    for source in found:
+        report.bags += 1
+        for steps in source.read(report.refuse):
+            report.see(steps)
+            yield source, steps
+
+
+def examples_of(
+    steps: Steps, observation: ObservationConfig, report: Report
 ) -> EpisodeExamples | None:
     """
     Return the examples of an episode, None if there are none.
 
-    Frames go back to the episode's first state and no farther, as in the environment. A step
-    whose command, scan or an earlier frame is missing is dropped and counted. Raises ConfigError
-    if the episode was recorded with another time step or lidar.
+    Frames go back to the episode's first state and no farther, as in the environment. Where an
+    earlier frame is of a step that is not whole, the example is dropped and counted.
     """
-    if episode.dt != config.dt:
-        raise ConfigError(f'{where}: dt is {episode.dt} s, expected {config.dt} s')
-    n_rays, team = config.lidar.n_rays, episode.n_shepherds
-    steps = np.array([frame.step for frame in episode.frames])
-    row_of = {int(step): row for row, step in enumerate(steps)}
-    readings = np.full((len(steps), team, 3, n_rays), np.inf, np.float32)
-    there = np.zeros((len(steps), team), bool)
-    for row, frame in enumerate(episode.frames):
-        for h, scan in enumerate(frame.scans):
-            if scan is not None:
-                if scan.shape[-1] != n_rays:
-                    raise ConfigError(
-                        f'{where}: scans have {scan.shape[-1]} rays, expected {n_rays}'
-                    )
-                readings[row, h], there[row, h] = scan, not np.isnan(scan).any()
-    observation = config.observation
-    back = [k * observation.spacing for k in reversed(range(observation.n_frames))]
-    at, rows, wanted = [], [], []
-    for row, frame in enumerate(episode.frames[:-1]):  # nothing follows on the last state
-        for h in range(team):
-            place = f'{where}, step {frame.step}, shepherd_{h}'
-            report.steps += 1
-            command = frame.commands[h]
-            stack = [row_of.get(max(frame.step - ago, 0)) for ago in back]
-            if command is None or not np.isfinite(command).all():
-                report.drop('no command', place)
-            elif not all(known is not None and there[known, h] for known in stack):
-                report.drop('a scan is missing', place)
-            else:
-                at.append((row, h))
-                rows.append([known for known in stack if known is not None])
-                wanted.append(command)
-    if not at:
+    team = steps.n_shepherds
+    back = observation.spacing * np.arange(observation.n_frames - 1, -1, -1)
+    frame = np.maximum(steps.step[:, None] - back, 0)
+    key = steps.step * team + steps.shepherd  # in order
+    asked = frame * team + steps.shepherd[:, None]
+    rows = np.minimum(np.searchsorted(key, asked), max(len(key) - 1, 0))
+    there = (key[rows] == asked).all(axis=1) if len(key) else np.zeros(0, bool)
+    if not there.all():
+        k = int(np.argmin(there))
+        place = f'{steps.where}, step {steps.step[k]}, shepherd_{steps.shepherd[k]}'
+        report.drop('an earlier frame is missing', place, int((~there).sum()))
+    if not there.any():
         return None
-    actions = torch.from_numpy(np.array(wanted, np.float32))
-    report.examples += len(at)
-    report.speed += float(actions.norm(dim=-1).sum())
+    report.examples += int(there.sum())
     return EpisodeExamples(
-        torch.from_numpy(readings), torch.tensor(at), torch.tensor(rows), actions
+        torch.from_numpy(steps.lidar),
+        torch.from_numpy(rows[there]),
+        torch.from_numpy(steps.action[there]),
     )
 
 
+def require_fit(steps: Steps, config: PolicyConfig) -> None:
+    """Raise ConfigError if steps were recorded with another time step or lidar."""
+    if steps.dt != config.dt:
+        raise ConfigError(f'{steps.where}: dt is {steps.dt} s, expected {config.dt} s')
+    if len(steps) and steps.n_rays != config.lidar.n_rays:
+        raise ConfigError(
+            f'{steps.where}: scans have {steps.n_rays} rays, expected {config.lidar.n_rays}'
+        )
+
+
 def stream_examples(
-    places: Sequence[Path], policy: Policy, report: Report, seed: int | None = None
+    places: Sequence[Path],
+    policy: Policy,
+    report: Report,
+    seed: int | None = None,
+    labels: str = '',
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     """
     Yield scaled frames (n, K, 3, R), ray in front (n,), wanted action (n, 2) episode by episode.
 
-    One episode is in memory at a time; with a seed, bags come in random order.
+    Arguments are those of stream_steps().
     """
-    bags = bag_folders(places)
-    if seed is not None:
-        random.Random(seed).shuffle(bags)
-    for path in bags:
-        report.bags += 1
-        for number, episode in enumerate(iter_episodes(open_bag(path))):
-            report.episodes += 1
-            found = episode_examples(episode, policy.config, report, f'{path.name}:{number}')
-            if found is not None:
-                frames = found.frames()
-                first = policy.first_ray(frames[:, -1])
-                wanted = turned(found.wanted, -first, frames.shape[-1])
-                yield policy.scaled(frames), first, wanted
+    for _, steps in stream_steps(places, report, seed, labels):
+        require_fit(steps, policy.config)
+        found = examples_of(steps, policy.config.observation, report)
+        if found is not None:
+            frames = found.frames()
+            first = policy.first_ray(frames[:, -1])
+            wanted = turned(found.wanted, -first, frames.shape[-1])
+            yield policy.scaled(frames), first, wanted
+
+
+def look_at(places: Sequence[Path], observation: ObservationConfig, labels: str = '') -> Report:
+    """Return what is found at places, and how many examples with such frames."""
+    report = Report()
+    for _, steps in stream_steps(places, report, labels=labels):
+        examples_of(steps, observation, report)
+    return report
+
+
+def build_dataset(
+    places: Sequence[Path], folder: Path, observation: ObservationConfig, labels: str = ''
+) -> Report:
+    """
+    Write the whole steps at places as a data set into a new folder; return what was found.
+
+    Any frames can be taken from it later; the report counts examples with those of observation.
+    Raises ConfigError, and leaves no folder then.
+    """
+    report, source = Report(), None
+    with DatasetWriter(folder, labels) as writer:
+        for now, steps in stream_steps(places, report, labels=labels):
+            if now is not source:
+                writer.begin_bag(now.name)
+                source = now
+            writer.add(steps)
+            examples_of(steps, observation, report)
+        if not writer.rows:
+            raise ConfigError(f'no step of the bags can be learned from:\n{report.text()}')
+        writer.close(report.to_dict())
+    return report

@@ -10,8 +10,9 @@ from typing import Any
 
 from shepherd_ros.config import Config, ConfigError, option, part
 from shepherd_ros.learning.clone import CloneConfig, Cloner, Examples
-from shepherd_ros.learning.dataset import Report, stream_examples
+from shepherd_ros.learning.dataset import stream_examples
 from shepherd_ros.learning.judge import judge
+from shepherd_ros.learning.report import Report
 from shepherd_ros.learning.run_folder import Run
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.policy.network import fast_dtype
@@ -28,6 +29,7 @@ class BCConfig(Config):
     reuse: float = option(1.0, 'times that an example is learned from in an epoch', low=0.01)
     judge_episodes: int = option(32, 'episodes of the evaluation after an epoch', low=2)
     judge_steps: int = option(1000, 'steps of these episodes', low=1)
+    labels: str = option('', 'namespace of the commands to learn; empty: those that were driven')
     task: TaskConfig = part(TaskConfig)
     clone: CloneConfig = part(CloneConfig)
 
@@ -40,7 +42,7 @@ def train_bc(
     on_line: Callable[[dict[str, Any]], None] = lambda line: None,
 ) -> Report:
     """
-    Fit a policy to bags, in place; return what was found in them.
+    Fit a policy to bags or data sets, in place; return what was found in them.
 
     Examples go through a store from which batches are drawn, so that neighbours in time are
     learned apart. Raises ConfigError if the bags hold no example.
@@ -55,7 +57,8 @@ def train_bc(
         cloner.slow_down(1 - 0.95 * epoch / config.epochs)
         losses: list[float] = []
         due = 0.0
-        for frames, first, wanted in stream_examples(places, policy, report, config.seed + epoch):
+        order = config.seed + epoch
+        for frames, first, wanted in stream_examples(places, policy, report, order, config.labels):
             examples.add(frames, first, wanted)
             due += config.reuse * len(first) / config.clone.minibatch
             while due >= 1:

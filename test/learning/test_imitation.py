@@ -9,12 +9,20 @@ import numpy as np
 import pytest
 from shepherd_ros.bags.episodes import Episode, iter_episodes
 from shepherd_ros.bags.reader import open_bag
+from shepherd_ros.bags.steps import steps_of
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.evaluation.record import record_episodes
 from shepherd_ros.learning.clone import CloneConfig, Cloner, Examples
 from shepherd_ros.learning.dagger import DaggerConfig, Lesson
-from shepherd_ros.learning.dataset import bag_folders, episode_examples, Report, stream_examples
+from shepherd_ros.learning.dataset import (
+    bag_folders,
+    EpisodeExamples,
+    examples_of,
+    require_fit,
+    stream_examples,
+)
+from shepherd_ros.learning.report import Report
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
@@ -47,6 +55,15 @@ def episode_of(bags: Path) -> Episode:
     return next(iter_episodes(open_bag(bags / 'episode_000005')))
 
 
+def examples_in(episode: Episode, report: Report) -> EpisodeExamples:
+    steps = steps_of(episode, 'bag', 0, report.refuse)
+    report.see(steps)
+    require_fit(steps, CONFIG)
+    found = examples_of(steps, CONFIG.observation, report)
+    assert found is not None
+    return found
+
+
 def test_examples_of_a_bag_are_what_the_environment_shows_and_the_controller_does(
     bags: Path,
 ) -> None:
@@ -55,8 +72,7 @@ def test_examples_of_a_bag_are_what_the_environment_shows_and_the_controller_doe
     stack, _ = env.reset(5)
     memory = law.begin(env.perceived)
     report = Report()
-    got = episode_examples(episode_of(bags), CONFIG, report, 'bag')
-    assert got is not None
+    got = examples_in(episode_of(bags), report)
     assert len(got) == report.examples == report.steps == 2 * STEPS
     assert not report.drops
     frames = got.frames()
@@ -75,16 +91,22 @@ def test_steps_that_are_not_whole_are_dropped_by_name(bags: Path) -> None:
     frames[7] = replace(frames[7], scans=[None, frames[7].scans[1]])
     del frames[2]
     report = Report()
-    got = episode_examples(replace(episode, frames=frames), CONFIG, report, 'bag')
-    assert got is not None
-    # shepherd 0 lacks the command of step 4, and scan 7 in the stacks of steps 7 and 10; step 2
-    # is not there for both, and neither are the stacks of steps 5 and 8
-    assert report.steps == 2 * (STEPS - 1)
-    assert report.drops == {'no command': 1, 'a scan is missing': 2 + 2 * 2}
-    assert report.first_drop['no command'] == 'bag, step 4, shepherd_0'
-    assert report.first_drop['a scan is missing'] == 'bag, step 5, shepherd_0'
-    assert len(got) == report.steps - 7 == report.examples
-    for words in ('no command', 'bag, step 4, shepherd_0', 'examples:  15'):
+    got = examples_in(replace(episode, frames=frames), report)
+    # nobody has a step 2, which is in the stacks of 5 and 8; shepherd 0 has no whole steps 4 and
+    # 7, which are both in the stack of 10
+    assert report.steps == 2 * STEPS
+    assert report.drops == {
+        'no poses': 2, 'no command': 1, 'no scan': 1,
+        'an earlier frame is missing': 2 * 2 + 1,
+    }  # fmt: skip
+    assert report.first_drop == {
+        'no poses': 'bag:0, step 2',
+        'no command': 'bag:0, step 4, shepherd_0',
+        'no scan': 'bag:0, step 7, shepherd_0',
+        'an earlier frame is missing': 'bag:0, step 5, shepherd_0',
+    }
+    assert len(got) == report.steps - 9 == report.examples
+    for words in ('no command', 'bag:0, step 4, shepherd_0', 'examples:  15'):
         assert words in report.text()
 
 
@@ -95,12 +117,12 @@ def test_bags_that_do_not_fit_the_policy_are_refused(bags: Path, tmp_path: Path)
     few = replace(CONFIG, lidar=replace(CONFIG.lidar, n_rays=256))
     with pytest.raises(ConfigError, match='scans have 512 rays, expected 256'):
         list(stream_examples([bags], policy_of(few), Report()))
-    with pytest.raises(ConfigError, match='expected a bag or a folder of bags'):
-        bag_folders([tmp_path])
+    with pytest.raises(ConfigError, match='expected a bag, a folder of bags'):
+        bag_folders(tmp_path)
 
 
 def test_bags_come_in_an_order_of_the_seed_and_all_of_them(bags: Path) -> None:
-    assert [path.name for path in bag_folders([bags])] == ['episode_000005', 'episode_000006']
+    assert [path.name for path in bag_folders(bags)] == ['episode_000005', 'episode_000006']
     orders = set()
     for seed in range(8):
         report = Report()
@@ -112,8 +134,7 @@ def test_bags_come_in_an_order_of_the_seed_and_all_of_them(bags: Path) -> None:
 
 
 def test_wanted_actions_are_relative_to_the_ray_in_front(bags: Path) -> None:
-    got = episode_examples(episode_of(bags), CONFIG, Report(), 'bag')
-    assert got is not None
+    got = examples_in(episode_of(bags), Report())
     (_, first, wanted), _ = stream_examples([bags], policy_of(), Report())
     assert (first != 0).any()
     torch.testing.assert_close(turned(wanted, first, 512), got.wanted, atol=1e-5, rtol=0)

@@ -1,0 +1,87 @@
+"""Verbs dataset info and build: what can be learned from bags, and the same as Parquet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import json
+from pathlib import Path
+from typing import Annotated, TYPE_CHECKING
+
+from shepherd_ros.cli import UserError
+import tyro
+
+if TYPE_CHECKING:
+    from shepherd_ros.sim.observation import ObservationConfig
+
+Places = tyro.conf.Positional[tuple[Path, ...]]
+
+
+@dataclass
+class Common:
+    """What both have in common."""
+
+    places: Places
+    """Bags, folders of bags, or data sets that were built."""
+    labels: str = ''
+    """Namespace of the commands to learn, such as teacher; empty: those that were driven."""
+    n_frames: int = 3
+    """Frames that are seen together, for counting examples."""
+    spacing: int = 4
+    """Steps from one frame to the next, for counting examples."""
+    json: bool = False
+    """Print JSON."""
+
+    def frames(self) -> ObservationConfig:
+        """Return the frames that are asked for; raises ConfigError."""
+        from shepherd_ros.sim.observation import ObservationConfig
+
+        if not self.places:
+            raise UserError('no bags are given: expected bags or folders of bags, as arguments')
+        return ObservationConfig(n_frames=self.n_frames, spacing=self.spacing)
+
+
+@dataclass
+class Info(Common):
+    """Tell what can be learned from bags: examples, what is dropped and why, statistics."""
+
+    def run(self) -> int:
+        """Print it."""
+        from shepherd_ros.learning.dataset import look_at
+
+        report = look_at(self.places, self.frames(), self.labels)
+        print(json.dumps(report.to_dict(), indent=1) if self.json else report.text())
+        return 0
+
+
+@dataclass(kw_only=True)
+class Build(Common):
+    """Write the steps of bags as Parquet, with the folders and columns of LeRobot."""
+
+    out: Annotated[Path, tyro.conf.arg(aliases=['-o'])]
+    """New folder."""
+
+    def run(self) -> int:
+        """Write it and print what was found."""
+        from shepherd_ros.learning.dataset import build_dataset
+
+        report = build_dataset(self.places, self.out, self.frames(), self.labels)
+        print(json.dumps(report.to_dict(), indent=1) if self.json else report.text())
+        if not self.json:
+            print(f'\nwrote {self.out}')
+        return 0
+
+
+Verb = (
+    Annotated[Info, tyro.conf.subcommand('info')] | Annotated[Build, tyro.conf.subcommand('build')]
+)
+
+
+@dataclass
+class DatasetVerbs:
+    """Look at what can be learned from bags, and export it."""
+
+    verb: Annotated[Verb, tyro.conf.arg(name='')]
+
+    def run(self) -> int:
+        """Run the verb."""
+        return self.verb.run()
