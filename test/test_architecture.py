@@ -48,7 +48,7 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
     ),
     'evaluation': (
         {'bags', 'config', 'controllers', 'episode', 'policy', 'sim', 'topics', 'view'},
-        {'matplotlib', 'numpy', 'torch'},
+        {'matplotlib', 'numpy', 'pyarrow', 'torch'},
     ),
     'view': ({'config', 'share', 'sim'}, {'PIL', 'imageio', 'matplotlib', 'numpy', 'plotly'}),
     'nodes': (

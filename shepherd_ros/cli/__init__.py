@@ -32,6 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
     from shepherd_ros.cli.dataset import DatasetVerbs
     from shepherd_ros.cli.demo import Demo
     from shepherd_ros.cli.evaluate import Evaluate
+    from shepherd_ros.cli.figures import Figures
     from shepherd_ros.cli.record import Record
     from shepherd_ros.cli.replay import Replay
     import tyro
@@ -39,6 +40,7 @@ def main(arguments: list[str] | None = None) -> int:
     verbs: dict[str, Callable[..., Any]] = {
         'demo': Demo,
         'evaluate': Evaluate,
+        'figures': Figures,
         'record': Record,
         'replay': Replay,
         'counterfactual': Counterfactual,

@@ -1,89 +1,156 @@
-"""Verb evaluate: controllers on many episodes in batched simulation, as a table."""
+"""Verb evaluate: experiments in batched simulation, one row of Parquet an episode."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-import sys
+import subprocess
+from typing import Annotated, TYPE_CHECKING
 
 from rich.progress import Progress, TimeElapsedColumn, TimeRemainingColumn
 from shepherd_ros.cli import UserError
+import tyro
+
+if TYPE_CHECKING:
+    from shepherd_ros.evaluation.experiments import Experiment
+    from shepherd_ros.evaluation.setting import Setting
 
 
 @dataclass
 class Evaluate:
-    """Run every controller on the same starts and write a table of the paper's metrics."""
+    """
+    Run experiments: figures of the paper (4 to 8), fractions, table, and sweeps beyond the paper.
 
-    controllers: tuple[str, ...] = ('strombom', 'pierson')
-    """Controllers to compare."""
-    shepherds: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
-    """Team sizes."""
-    sheep: tuple[int, ...] = (100,)
-    """Flock sizes."""
-    flock: str = 'strombom'
-    """Flock model."""
-    preset: str = 'default'
-    """Named setting of time step and flock."""
-    episodes: int = 100
-    """Episodes per row, with seeds seed, seed + 1, ..."""
+    Every controller gets the same starts. What is done already is not done again.
+    """
+
+    experiments: Annotated[tuple[str, ...], tyro.conf.Positional] = ('table',)
+    """Names such as 4, fig5, fractions, table, herdability; or paper, beyond, all."""
+    controllers: tuple[str, ...] = ()
+    """Who drives, a policy as policy:CHECKPOINT; those of the experiment if not given."""
+    episodes: int | None = None
+    """Episodes of each cell; 100 if not given, 20 for the large sweeps beyond the paper."""
+    workers: int = 1
+    """Processes that run at the same time."""
+    shard: str = '1/1'
+    """Part i/n of the cells, for n machines; copy their folders together afterwards."""
+    quick: bool = False
+    """A few cells with 6 short episodes each, to see that all works."""
     seed: int = 0
     """Seed of the first episode."""
-    steps: int = 1000
-    """Steps of an episode."""
-    noise: float = 0.0
-    """Standard deviation of the noise on perceived positions [m]."""
-    threads: int = 1
-    """Threads of torch."""
-    out: Path | None = None
-    """Markdown file to write; the screen if not given."""
+    preset: str = ''
+    """Named setting of time step and flock, instead of default."""
+    sheep: tuple[int, ...] = ()
+    """Flock sizes instead of those of the experiment."""
+    shepherds: tuple[int, ...] = ()
+    """Team sizes instead of those of the experiment."""
+    flock: str = ''
+    """Flock model instead of that of the experiment."""
+    noise: float | None = None
+    """Noise on perceived positions [m] instead of that of the experiment."""
+    steps: int | None = None
+    """Steps of an episode; 1000 if not given."""
+    out: Path = Path('out/rows')
+    """Folder of the rows; <experiment>.md in it is a table of what it has."""
 
     def run(self) -> int:
-        """Run all; return the exit code."""
-        from shepherd_ros.controllers import make_controller
-        from shepherd_ros.evaluation.runner import mean_and_interval, run_episodes
-        from shepherd_ros.sim.env import EnvConfig
-        from shepherd_ros.sim.metrics import PAPER_METRICS
-        from shepherd_ros.sim.presets import world_preset
-        import torch
+        """Run what is missing; return the exit code."""
+        from shepherd_ros.evaluation.campaign import is_done, plan, run_tasks, shard_of
+        from shepherd_ros.evaluation.cells import Cell
+        from shepherd_ros.evaluation.experiments import experiments
 
-        if self.episodes < 1:
-            raise UserError(f'--episodes is {self.episodes}: expected at least 1')
-        torch.set_num_threads(self.threads)
-        base = replace(world_preset(self.preset, self.flock), episode_steps=self.steps)
-        cells = [
-            (n, m, name) for n in self.sheep for m in self.shepherds for name in self.controllers
-        ]
-        worlds = {
-            (n, m): replace(base, n_sheep=n, n_shepherds=m)
-            for n in self.sheep
-            for m in self.shepherds
+        if self.workers < 1:
+            raise UserError(f'--workers is {self.workers}: expected at least 1')
+        chosen = [self.changed(experiment) for experiment in experiments(self.experiments)]
+        tasks = {
+            (task.key, task.cell.first): task
+            for e in chosen
+            for task in plan(e.settings, e.controllers, self.seed, e.episodes)
         }
-        controllers = {(n, m, name): make_controller(name, worlds[n, m]) for n, m, name in cells}
-        columns = (*PAPER_METRICS, 'fraction_in_goal', 'shepherd_path_to_completion')
-        lines = [
-            '| sheep | shepherds | controller | ' + ' | '.join(columns) + ' |',
-            '|--:|--:|:--|' + '--:|' * len(columns),
-        ]
-        columns_shown = [*Progress.get_default_columns()[:2], TimeElapsedColumn()]
-        with Progress(*columns_shown, TimeRemainingColumn(), transient=True) as progress:
-            task = progress.add_task('episodes', total=len(cells) * self.steps)
-            for n, m, name in cells:
-                progress.update(task, description=f'{name}, {n} sheep, {m} shepherds')
-                config = EnvConfig(world=worlds[n, m], noise_std=self.noise)
-                result = run_episodes(
-                    config,
-                    controllers[n, m, name],
-                    self.seed,
-                    self.episodes,
-                    lambda step: progress.advance(task),
-                )
-                pairs = [mean_and_interval(result[column]) for column in columns]
-                values = ' | '.join(f'{mean:.3g} ± {half:.2g}' for mean, half in pairs)
-                lines.append(f'| {n} | {m} | {name} | {values} |')
-        text = '\n'.join(lines) + '\n'
-        if self.out is None:
-            sys.stdout.write(text)
-        else:
-            self.out.parent.mkdir(parents=True, exist_ok=True)
-            self.out.write_text(text, encoding='utf-8')
+        mine = shard_of(list(tasks.values()), self.shard)
+        try:
+            self.out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UserError(f'--out is {self.out}: expected a folder ({error.strerror})') from None
+        missing = [task for task in mine if not is_done(self.out, task)]
+        columns = Progress.get_default_columns()[:3]
+        ended: list[Cell] = []
+        with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn()) as progress:
+            total = sum(task.cell.cost() for task in missing)
+            left = progress.add_task('cells', total=total)
+            print(
+                f'{sum(t.cell.count for t in mine)} episodes in {len(mine)} cells, '
+                f'{len(mine) - len(missing)} of them done; about {total / 60:.0f} minutes of one '
+                'core are left'
+            )
+
+            def done(cell: Cell) -> None:
+                ended.append(cell)
+                text = f'{len(ended)} of {len(missing)} cells'
+                progress.update(left, advance=cell.cost(), description=text)
+
+            run_tasks(self.out, missing, self.workers, commit(), done)
+        if len(mine) == len(tasks):
+            self.write_tables(chosen)
         return 0
+
+    def changed(self, experiment: Experiment) -> Experiment:
+        """Return an experiment with the changes that were asked for."""
+        from shepherd_ros.evaluation.experiments import QUICK_STEPS
+
+        experiment = experiment.with_preset(self.preset)
+        settings = experiment.quick if self.quick else experiment.settings
+        steps = self.steps or (QUICK_STEPS if self.quick else None)
+        if self.steps is not None and self.steps < 1:
+            raise UserError(f'--steps is {self.steps}: expected at least 1')
+        wishes = {
+            'sheep': self.sheep,
+            'shepherds': self.shepherds,
+            'flock': (self.flock,) if self.flock else (),
+            'noise': () if self.noise is None else (self.noise,),
+            'steps': () if steps is None else (steps,),
+        }
+        for name, values in wishes.items():
+            settings = _with_values(settings, name, values)
+        episodes = 6 if self.quick else experiment.episodes
+        return replace(
+            experiment,
+            settings=settings,
+            controllers=self.controllers or experiment.controllers,
+            episodes=episodes if self.episodes is None else self.episodes,
+        )
+
+    def write_tables(self, chosen: list[Experiment]) -> None:
+        """Write a table of each experiment beside the rows, and say where."""
+        from shepherd_ros.evaluation.rows import read_rows
+        from shepherd_ros.evaluation.samples import samples_of
+        from shepherd_ros.evaluation.table import markdown
+
+        rows = read_rows([self.out])
+        for experiment in chosen:
+            samples = samples_of(rows, experiment)
+            if samples is not None:
+                path = self.out / f'{experiment.name}.md'
+                path.write_text(markdown(samples), encoding='utf-8')
+                print(path)
+
+
+def _with_values(
+    settings: tuple[Setting, ...], name: str, values: tuple[object, ...]
+) -> tuple[Setting, ...]:
+    """Return the settings with other values of a field, each once."""
+    if not values:
+        return settings
+    changed = (replace(s, **{name: value}) for value in values for s in settings)  # type: ignore[arg-type]
+    return tuple(dict.fromkeys(changed))
+
+
+def commit() -> str:
+    """Return the commit of the checkout that runs, + if it was changed; empty without git."""
+    here = Path(__file__).parent
+    words = ['git', 'describe', '--always', '--dirty=+', '--exclude=*']
+    try:
+        done = subprocess.run(words, cwd=here, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return ''
+    return done.stdout.strip()

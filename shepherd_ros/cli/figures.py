@@ -1,0 +1,87 @@
+"""Verb figures: the paper's figures from rows of results, and a page of verdicts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from shepherd_ros.cli import UserError
+import tyro
+
+
+@dataclass
+class Figures:
+    """Draw the figures of the paper and of the sweeps beyond it, as PNG and SVG."""
+
+    rows: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Rows that shepherd evaluate wrote: Parquet files or folders of them."""
+    out: Path = Path('out/figures')
+    """Folder of the pictures."""
+    curves: tuple[Path, ...] = ()
+    """Training curves for figure 3: .jsonl files, runs, or folders of them."""
+    checkpoints: tuple[str, ...] = ()
+    """Checkpoints for figure 9; those of the policies in the rows if not given."""
+    preset: str = ''
+    """Preset that the rows were made with, instead of default."""
+    report: bool = False
+    """Also write README.md with a verdict on each statement of the paper, and summary.csv."""
+    command: str = 'shepherd figures'
+    """What the page says it was made by."""
+
+    def run(self) -> int:
+        """Draw all; return the exit code."""
+        from shepherd_ros.evaluation.curves import find_curves
+        from shepherd_ros.evaluation.experiments import EXPERIMENTS
+        from shepherd_ros.evaluation.figures import draw, draw_curves, draw_values, save
+        from shepherd_ros.evaluation.judgement import has_critic
+        from shepherd_ros.evaluation.methods import checkpoint_of, full_name, loaded
+        from shepherd_ros.evaluation.rows import read_rows
+        from shepherd_ros.evaluation.samples import Samples, samples_of
+        from shepherd_ros.evaluation.value_map import value_map
+        import torch
+
+        torch.set_num_threads(1)
+        if not self.rows:
+            raise UserError('figures needs rows: expected files or folders of shepherd evaluate')
+        rows, curves = read_rows(self.rows), find_curves(self.curves)
+        samples: dict[str, Samples] = {}
+        for experiment in EXPERIMENTS.values():
+            found = samples_of(rows, experiment.with_preset(self.preset), least=2)
+            if found is not None:
+                samples[experiment.name] = found
+        if not samples:
+            raise UserError('the rows are of no experiment: expected those of shepherd evaluate')
+        known = [name for name in rows.distinct('controller') if name.startswith('policy:')]
+        named = [full_name(f'policy:{checkpoint}') for checkpoint in self.checkpoints]
+        critics = [name for name in dict.fromkeys(named or known) if has_critic(name)]
+        pictures = {name: draw(found) for name, found in samples.items()}
+        if curves:
+            pictures['fig3'] = draw_curves(curves)
+        if critics:
+            maps = {name: value_map(loaded(checkpoint_of(name))) for name in critics}
+            pictures['fig9'] = draw_values(maps)
+        for name, figure in pictures.items():
+            print(*save(figure, self.out, name))
+        if self.report:
+            from shepherd_ros.evaluation.judgement import (
+                judge_curves,
+                judge_samples,
+                judge_values,
+            )
+            from shepherd_ros.evaluation.report import page
+            from shepherd_ros.evaluation.table import CSV_HEADER, csv_rows, markdown
+
+            judgements = [
+                *judge_curves(curves),
+                *(j for found in samples.values() for j in judge_samples(found)),
+                *judge_values(critics),
+            ]
+            text = page(judgements, samples, list(pictures), rows, self.command)
+            (self.out / 'README.md').write_text(text, encoding='utf-8')
+            lines = CSV_HEADER + ''.join(csv_rows(found) for found in samples.values())
+            (self.out / 'summary.csv').write_text(lines, encoding='utf-8')
+            if 'table' in samples:
+                (self.out / 'table.md').write_text(markdown(samples['table']), encoding='utf-8')
+            print(self.out / 'README.md')
+        return 0

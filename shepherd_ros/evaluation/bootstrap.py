@@ -1,0 +1,40 @@
+"""Means with bootstrap intervals: episodes are drawn again, with the same seeds everywhere."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+DRAWS = 2000
+LEVEL = 0.95
+
+
+def drawn_again(episodes: int, draws: int = DRAWS, seed: int = 0) -> NDArray[np.int64]:
+    """Return which episodes each draw takes, (draws, episodes); always the same ones."""
+    return np.random.default_rng(seed).integers(0, episodes, (draws, episodes))
+
+
+def drawn_means(values: Array, draws: int = DRAWS) -> Array:
+    """Return means of the episodes (..., E) as drawn again, (..., draws)."""
+    count = values.shape[-1]
+    weight = np.zeros((draws, count))
+    np.add.at(weight, (np.arange(draws)[:, None], drawn_again(count, draws)), 1 / count)
+    return values @ weight.T
+
+
+def percentiles(drawn: Array) -> tuple[Array, Array]:
+    """Return the ends of the 95 % interval of a quantity (..., draws), (...) each."""
+    tail = 100 * (1 - LEVEL) / 2
+    low, high = np.percentile(drawn, [tail, 100 - tail], axis=-1)
+    return low, high
+
+
+def mean_interval(values: Array) -> tuple[Array, Array, Array]:
+    """Return mean, low and high end of the 95 % interval of (..., E); NaN ends for E = 1."""
+    mean = values.mean(axis=-1)
+    if values.shape[-1] < 2:
+        return mean, np.full_like(mean, np.nan), np.full_like(mean, np.nan)
+    low, high = percentiles(drawn_means(values))
+    return mean, low, high

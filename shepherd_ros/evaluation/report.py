@@ -1,0 +1,183 @@
+"""The page of results: each statement of the paper beside our number and a verdict."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from itertools import groupby
+import math
+
+from shepherd_ros.evaluation.claims import (
+    ABOUT,
+    AGREES,
+    Clause,
+    DISAGREES,
+    Finding,
+    NEAR,
+    UNDECIDED,
+)
+from shepherd_ros.evaluation.judgement import Judgement
+from shepherd_ros.evaluation.methods import checkpoint_hash, how_made, label
+from shepherd_ros.evaluation.rows import Rows
+from shepherd_ros.evaluation.samples import Samples
+from shepherd_ros.evaluation.table import interval_text
+
+VERDICTS = (AGREES, DISAGREES, UNDECIDED)
+WHOLE = 1000  # steps of the paper's episodes
+ENOUGH = 50  # episodes below which a page is only a trial
+TITLES = {
+    'fig3': 'Figure 3: training',
+    'fig4': 'Figure 4: size of the flock',
+    'fig5': 'Figure 5: number of shepherds',
+    'fractions': 'Text: share of the flock that reaches the goal',
+    'fig6': 'Figure 6: noise on observed positions',
+    'fig7': 'Figure 7: repulsion between sheep',
+    'fig8': 'Figure 8: Reynolds flock',
+    'fig9': 'Figure 9: value of a third shepherd',
+}
+RULE = f"""\
+**Rule of a verdict.** Each statement is one number or several, each with bounds; they are data
+in `shepherd_ros/evaluation/statements.py`. `About x` means within {100 * ABOUT:.0f} % of x,
+for shares of the flock within {NEAR}. The interval is the 95 % bootstrap interval of the
+number, of 2000 draws of episodes; all controllers have the same starts, so they are drawn
+together. A number *agrees* if the whole interval lies within the bounds, *disagrees* if none
+of it does, and is *undecided* otherwise. A statement agrees if all its numbers do, and
+disagrees if one of them does.
+
+**RL** is a policy of this project, not the authors': the table below says how each was
+trained. Where that is no reinforcement learning, or used what the paper keeps for the
+evaluation (other sizes, noise, rho_a), the comparison is not like for like. Paths are counted
+over the whole episode, as the paper defines them; the last column counts them until the flock
+is home. The paper leaves the time step, the range of repulsion and parts of the baselines
+open; these rows use preset
+"""
+
+
+def page(
+    judgements: Sequence[Judgement],
+    samples: Mapping[str, Samples],
+    pictures: Sequence[str],
+    rows: Rows,
+    command: str,
+) -> str:
+    """Return the page in Markdown; pictures are the names of those that lie beside it."""
+    presets = ', '.join(f'`{p}`' for p in rows.distinct('preset') if p)
+    used = [name for name in rows.distinct('controller') if name.startswith('policy:')]
+    lines = [
+        '# The experiments of the paper, and what came of them here',
+        '',
+        f'Made by `{command}`. {origin(rows)}',
+        *trial(samples),
+        '',
+        f'{RULE.strip()} {presets}.',
+        '',
+        *policies(used),
+        '',
+        *summary(judgements),
+    ]
+    for name, title in TITLES.items():
+        mine = [j for j in judgements if j.experiment == name]
+        if mine or name in pictures:
+            lines += ['', f'## {title}', '', *picture(name, title, pictures), *verdicts(mine)]
+    beyond = [name for name in samples if name not in TITLES]
+    if beyond:
+        lines += ['', '## Beyond the paper', '', 'Numbers with intervals: `summary.csv`.']
+    for name in beyond:
+        title = samples[name].experiment.title
+        lines += ['', f'### {title}', '', *picture(name, title, pictures)]
+    return '\n'.join(lines).rstrip() + '\n'
+
+
+def origin(rows: Rows) -> str:
+    """Return where rows come from, in a sentence."""
+    code = ', '.join(f'`{c}`' for c in rows.distinct('code') if c) or 'not known'
+    versions = ', '.join(rows.distinct('version'))
+    return f'{len(rows)} episodes, version {versions}, commit {code} (+: with changes).'
+
+
+def trial(samples: Mapping[str, Samples]) -> list[str]:
+    """Return a warning if episodes are short or few, else nothing."""
+    short = [s for s in samples.values() if s.steps < WHOLE]
+    few = [s for n, s in samples.items() if n in TITLES and len(s.seeds) < ENOUGH]
+    if not short and not few:
+        return []
+    steps = min(s.steps for s in samples.values())
+    episodes = min(len(s.seeds) for s in samples.values())
+    return [
+        '',
+        f'> **A trial, not a result.** Episodes of {steps} steps, {episodes} of each cell: the '
+        'numbers and verdicts only show that everything runs.',
+    ]
+
+
+def policies(names: Sequence[str]) -> list[str]:
+    """Return a table of how policies were trained."""
+    lines = ['| policy | trained by | sha256 |', '|---|---|---|']
+    lines += [
+        f'| {label(name)} | `{how_made(name)}` | `{checkpoint_hash(name)[:12]}` |'
+        for name in names
+    ]
+    return lines if names else ['No policy was evaluated.']
+
+
+def summary(judgements: Sequence[Judgement]) -> list[str]:
+    """Return how many statements have which verdict, by figure."""
+    lines = [f'| | {" | ".join(VERDICTS)} |', '|---|--:|--:|--:|']
+    total: Counter[str] = Counter()
+    for name, title in TITLES.items():
+        counts = Counter(j.verdict for j in judgements if j.experiment == name)
+        total += counts
+        if counts:
+            cells = ' | '.join(str(counts[v]) for v in VERDICTS)
+            lines.append(f'| {title} | {cells} |')
+    return [*lines, f'| **all** | {" | ".join(f"**{total[v]}**" for v in VERDICTS)} |']
+
+
+def picture(name: str, title: str, pictures: Sequence[str]) -> list[str]:
+    """Return the lines that show a picture, if there is one."""
+    if name not in pictures:
+        return ['No picture: nothing to draw.', '']
+    return [f'![{title}]({name}.png)', '']
+
+
+def bounds(clause: Clause) -> str:
+    """Return the bounds of a clause, empty if it has none."""
+    return '' if math.isinf(clause.low) and math.isinf(clause.high) else clause.bounds
+
+
+def number(finding: Finding) -> str:
+    """Return our number with its interval, or why there is none."""
+    if math.isnan(finding.value):
+        return finding.reason
+    text = interval_text(finding.value, finding.low, finding.high)
+    return f'{text}; {finding.reason}' if finding.reason else text
+
+
+def verdicts(judgements: Sequence[Judgement]) -> list[str]:
+    """Return the tables of the verdicts on a figure, one for each policy that stands for RL."""
+    lines: list[str] = []
+    ordered = sorted(judgements, key=lambda j: j.policy)
+    for policy, group in groupby(ordered, key=lambda j: j.policy):
+        who = label(policy) if policy.startswith('policy:') else policy
+        if policy:
+            lines += [f'RL is {who}:', '']
+        lines += [
+            '| the paper states | verdict | number | ours | agrees if | verdict | until home |',
+            '|---|---|---|--:|--:|---|---|',
+        ]
+        for judgement in group:
+            lines += claim_lines(judgement)
+        lines.append('')
+    return lines
+
+
+def claim_lines(judgement: Judgement) -> list[str]:
+    """Return a line for each number of a statement."""
+    lines = []
+    pairs = zip(judgement.findings, judgement.until_completion, strict=True)
+    for k, (finding, other) in enumerate(pairs):
+        first = (judgement.statement, f'**{judgement.verdict}**') if k == 0 else ('', '')
+        until = f'{number(other)}, {other.verdict}' if other else ''
+        cells = [*first, finding.clause.text, number(finding), bounds(finding.clause)]
+        lines.append(f'| {" | ".join([*cells, finding.verdict, until])} |')
+    return lines
