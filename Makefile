@@ -12,7 +12,7 @@ SEED ?= 0
 STEPS ?= 1000
 OUT ?= out/demo
 
-.PHONY: demo test setup lint table bench clean browser
+.PHONY: demo test setup lint table bench bench-learning clean browser
 .DEFAULT_GOAL := demo
 
 demo: setup
@@ -47,6 +47,9 @@ table: setup  # the table of heuristics in README.md, about half an hour
 
 bench: setup
 	$(BIN)/python benchmarks/core.py && $(BIN)/python benchmarks/ring.py
+
+bench-learning: setup  # about five minutes on cores of its own
+	$(BIN)/python benchmarks/learning.py
 
 clean:
 	rm -rf $(VENV) out build install log
