@@ -140,6 +140,12 @@ def strombom_flock(world: World, config: Any, dt: float) -> tuple[Array, Array]:
     return new_sheep, new_heading
 
 
+def ramp(x: float, y: float) -> Point:
+    """Return the direction of a term that is longer than 0.01, a shorter one times 100."""
+    size = length(x, y)
+    return (x / size, y / size) if size > 0.01 else (x * 100, y * 100)
+
+
 def reynolds_flock(world: World, config: Any, dt: float) -> tuple[Array, Array]:
     """Return sheep and heading after dt, section 6."""
     sheep, n = world.sheep, len(world.sheep)
@@ -164,6 +170,12 @@ def reynolds_flock(world: World, config: Any, dt: float) -> tuple[Array, Array]:
             gx, gy = mean_point(sheep[seen])
             cohesion = (gx - sheep[i, 0], gy - sheep[i, 1])
         fear = repulsion(i, world.shepherds)
+        if config.terms == 'unit':
+            separation, cohesion, fear = ramp(*separation), ramp(*cohesion), ramp(*fear)
+            if seen:
+                hx, hy = ramp(*mean_point(world.heading[seen]))
+                ahead = ramp(*world.heading[i])
+                alignment = (hx - ahead[0], hy - ahead[1])
         force = [
             config.separation * separation[k]
             + config.alignment * alignment[k]

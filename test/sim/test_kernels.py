@@ -24,6 +24,7 @@ FLOCKS = [
     StrombomFlock(shepherd_range=6.0, graze_probability=0.5),
     ReynoldsFlock(),
     ReynoldsFlock(view_range=2.0, max_acceleration=5.0),
+    ReynoldsFlock(terms='raw'),
 ]
 CONTROLLERS = [
     ('strombom', {}),

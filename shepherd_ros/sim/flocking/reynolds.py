@@ -1,8 +1,8 @@
 """
 Reynolds flock (boids): sheep that always move, keep apart, align and keep together.
 
-C. W. Reynolds 1987, "Flocks, herds and schools", with fear of shepherds added. Raw magnitudes are
-summed and the acceleration is cut, without which the flock does not travel together.
+C. W. Reynolds 1987, "Flocks, herds and schools", with fear of shepherds added. The acceleration is
+cut, without which the flock does not travel together.
 """
 
 from __future__ import annotations
@@ -13,12 +13,14 @@ from shepherd_ros.config import option
 from shepherd_ros.sim.flocking.base import FlockConfig, FlockModel
 from shepherd_ros.sim.flocking.strombom import offsets
 from shepherd_ros.sim.kernels import usable
-from shepherd_ros.sim.kernels.flocking import reynolds_step
+from shepherd_ros.sim.kernels.reynolds_flock import reynolds_step
 from shepherd_ros.sim.noise import normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import clip_norm, EPSILON, from_bearing
 import torch
 from torch import Tensor
+
+TINY = 0.01  # length of a term [m, 1/m or 1] below which it counts in proportion
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,11 @@ class ReynoldsFlock(FlockConfig):
     alignment: float = option(7.5, 'w_v [-]: weight of matching the mean velocity', low=0.0)
     cohesion: float = option(1.0, 'w_c [-]: weight of attraction to the local center', low=0.0)
     fear: float = option(10.0, 'w_f [-]: weight of repulsion by shepherds', low=0.0)
+    terms: str = option(
+        'unit',
+        'unit: terms are directions, as in the Strömbom flock; raw: as long as they come (choice)',
+        choices=('unit', 'raw'),
+    )
     max_acceleration: float = option(
         1 / 3, 'the sum of all terms is cut to this [m/s2] (choice: 1/3)', low=0.0
     )
@@ -39,6 +46,11 @@ class ReynoldsFlock(FlockConfig):
     heading_spread: float = option(
         0.3, 'standard deviation of first headings around a common one [rad] (choice)', low=0.0
     )
+
+
+def direction(term: Tensor) -> Tensor:
+    """Return (..., 2) made one long; a tiny one stays short, so that rounding has no say."""
+    return term / torch.linalg.vector_norm(term, dim=-1, keepdim=True).clamp(min=TINY)
 
 
 def step(state: WorldState, config: ReynoldsFlock, dt: float) -> tuple[Tensor, Tensor]:
@@ -57,22 +69,27 @@ def step(state: WorldState, config: ReynoldsFlock, dt: float) -> tuple[Tensor, T
         inverse = near / squared.clamp(min=config.min_distance**2)
         return torch.stack([(x * inverse).sum(dim=-1), (y * inverse).sum(dim=-1)], dim=-1)
 
-    def mean_of_seen(value: Tensor) -> Tensor:
-        total = torch.stack([(weight * v[..., None, :]).sum(-1) for v in value.unbind(-1)], -1)
-        return torch.where(count > 0, total / count.clamp(min=1), value)
+    def mean_of_seen(x: Tensor, y: Tensor) -> Tensor:
+        total = torch.stack([(weight * x).sum(dim=-1), (weight * y).sum(dim=-1)], dim=-1)
+        return total / count.clamp(min=1)
 
     separation = repulsion(x, y, squared, seen)
-    alignment = mean_of_seen(velocity) - velocity
-    cohesion = mean_of_seen(sheep) - sheep
+    cohesion = -mean_of_seen(x, y)  # of offsets, which are exact where sheep are close
+    ahead = mean_of_seen(*state.heading[..., None, :, :].unbind(dim=-1))
+    alignment = torch.where(count > 0, ahead - state.heading, 0.0) * config.speed
 
     x, y = offsets(sheep, state.shepherds)
     squared = x * x + y * y
     noticed = (squared < config.view_range**2) & state.shepherd_mask[..., None, :]
+    fear = repulsion(x, y, squared, noticed)
+    if config.terms == 'unit':
+        separation, cohesion, fear = direction(separation), direction(cohesion), direction(fear)
+        alignment = direction(ahead) - direction(state.heading) * (count > 0)
     acceleration = (
         config.separation * separation
         + config.alignment * alignment
         + config.cohesion * cohesion
-        + config.fear * repulsion(x, y, squared, noticed)
+        + config.fear * fear
     )
     velocity = velocity + clip_norm(acceleration, config.max_acceleration) * dt
     length = torch.linalg.vector_norm(velocity, dim=-1, keepdim=True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from shepherd_ros.config import option
 from shepherd_ros.sim.flocking.base import FlockConfig, FlockModel
 from shepherd_ros.sim.kernels import usable
-from shepherd_ros.sim.kernels.flocking import strombom_step
+from shepherd_ros.sim.kernels.strombom_flock import strombom_step
 from shepherd_ros.sim.noise import direction, Stream, uniform
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import EPSILON, unit

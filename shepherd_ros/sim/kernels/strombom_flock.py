@@ -1,4 +1,4 @@
-"""The flock models of sim.flocking, sheep by sheep."""
+"""The step of the Strömbom flock, compiled for the CPU."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -210,89 +210,6 @@ def strombom_step(state: WorldState, config: Any, dt: float) -> tuple[Tensor, Te
         *(np.float32(weight) for weight in weights),
         config.normalize_shepherds,
         config.metric_attraction,
-        new_sheep,
-        new_heading,
-    )
-    shape = state.sheep.shape
-    return torch.from_numpy(new_sheep).reshape(shape), torch.from_numpy(new_heading).reshape(shape)
-
-
-@compiled
-def _fear(x, y, others, mask, view, nearest, me):
-    """Return the sum of offsets over squared distance from the others in view, me left out."""
-    sum_x, sum_y = _ZERO, _ZERO
-    for k in range(others.shape[0]):
-        dx, dy = x - others[k, 0], y - others[k, 1]
-        squared = dx * dx + dy * dy
-        if squared < view * view and mask[k] and k != me:
-            inverse = _ONE / max(squared, nearest * nearest)
-            sum_x += dx * inverse
-            sum_y += dy * inverse
-    return sum_x, sum_y
-
-
-@compiled
-def _reynolds(
-    sheep, heading, mask, shepherds, shepherd_mask, view, w_s, w_v, w_c, w_f, limit, nearest,
-    speed, dt, new_sheep, new_heading,
-):  # fmt: skip
-    n = sheep.shape[1]
-    for b in range(sheep.shape[0]):
-        for i in range(n):
-            x, y = sheep[b, i, 0], sheep[b, i, 1]
-            count = 0
-            sum_x, sum_y, sum_u, sum_v = _ZERO, _ZERO, _ZERO, _ZERO
-            for j in range(n):
-                dx, dy = x - sheep[b, j, 0], y - sheep[b, j, 1]
-                if j != i and mask[b, j] and dx * dx + dy * dy < view * view:
-                    count += 1
-                    sum_x += sheep[b, j, 0]
-                    sum_y += sheep[b, j, 1]
-                    sum_u += heading[b, j, 0] * speed
-                    sum_v += heading[b, j, 1] * speed
-            u, v = heading[b, i, 0] * speed, heading[b, i, 1] * speed
-            force_x, force_y = _ZERO, _ZERO
-            if count > 0:
-                others = np.float32(count)
-                apart_x, apart_y = _fear(x, y, sheep[b], mask[b], view, nearest, i)
-                force_x = w_s * apart_x + w_v * (sum_u / others - u) + w_c * (sum_x / others - x)
-                force_y = w_s * apart_y + w_v * (sum_v / others - v) + w_c * (sum_y / others - y)
-            away_x, away_y = _fear(x, y, shepherds[b], shepherd_mask[b], view, nearest, -1)
-            force_x, force_y = force_x + w_f * away_x, force_y + w_f * away_y
-            size = length(force_x, force_y)
-            if size > limit:
-                scale = limit / max(size, _EPSILON)
-                force_x, force_y = force_x * scale, force_y * scale
-            way_x, way_y = unit(u + force_x * dt, v + force_y * dt)
-            if way_x == 0 and way_y == 0:
-                way_x, way_y = heading[b, i, 0], heading[b, i, 1]
-            new_heading[b, i, 0], new_heading[b, i, 1] = way_x, way_y
-            new_sheep[b, i, 0] = x + speed * dt * way_x
-            new_sheep[b, i, 1] = y + speed * dt * way_y
-
-
-def reynolds_step(state: WorldState, config: Any, dt: float) -> tuple[Tensor, Tensor]:
-    """Return what sim.flocking.reynolds.step() does."""
-    sheep = flat(state.sheep, 2)
-    new_sheep, new_heading = np.empty_like(sheep), np.empty_like(sheep)
-    weights = (
-        config.view_range,
-        config.separation,
-        config.alignment,
-        config.cohesion,
-        config.fear,
-        config.max_acceleration,
-        config.min_distance,
-        config.speed,
-        dt,
-    )
-    _reynolds(
-        sheep,
-        flat(state.heading, 2),
-        flat(state.sheep_mask, 1),
-        flat(state.shepherds, 2),
-        flat(state.shepherd_mask, 1),
-        *(np.float32(weight) for weight in weights),
         new_sheep,
         new_heading,
     )
