@@ -76,7 +76,7 @@ class Dataset:
 
     def _episode(self, chosen: range) -> Steps:
         """Return the steps of the runs of one recorded episode."""
-        tables = [self._run(k) for k in chosen]
+        tables = [table for part in self._files(chosen) for table in self._read(part)]
         row = {name: int(values[chosen.start]) for name, values in self.runs.items()}
         lengths = self.runs['length'][chosen.start : chosen.stop]
         shepherd = np.repeat(self.runs['shepherd'][chosen.start : chosen.stop], lengths)
@@ -101,24 +101,35 @@ class Dataset:
             action=np.concatenate([action for _, action in tables])[order],
         )
 
-    def _run(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return scans (n, 3, R) m and actions (n, 2) m/s of a run, which is a row group."""
-        chunk, file = divmod(int(self.files[k]), CHUNK_SIZE)
+    def _files(self, chosen: range) -> Iterator[range]:
+        """Yield those of some runs that are in one file."""
+        for part in _parts(self.files[chosen.start : chosen.stop]):
+            yield range(chosen.start + part.start, chosen.start + part.stop)
+
+    def _read(self, chosen: range) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield scans (n, 3, R) m and actions (n, 2) m/s of runs in one file, in row groups."""
+        number = self.files[chosen.start]
+        chunk, file = divmod(int(number), CHUNK_SIZE)
         path = self.folder / DATA.format(chunk_index=chunk, file_index=file)
-        begin, end = (int(np.searchsorted(self.files, self.files[k], s)) for s in SIDES)
-        count, expected, place = int(self.runs['length'][k]), end - begin, k - begin
+        begin, end = (int(np.searchsorted(self.files, number, side)) for side in SIDES)
         with _open(path) as source:
-            about = source.metadata
-            if about.num_row_groups != expected:
-                what = f'it has {about.num_row_groups} row groups, expected {expected}'
+            if source.metadata.num_row_groups != end - begin:
+                what = f'{source.metadata.num_row_groups} row groups, expected {end - begin}'
                 raise BagError(path, what, FIX)
-            if about.row_group(place).num_rows != count:
-                what = f'row group {place} has not the {count} rows that {EPISODES} tells of'
-                raise BagError(path, what, FIX)
-            table = source.read_row_group(place, [LIDAR, ACTION, 'episode_index', 'frame_index'])
-            lidar = _floats(table[LIDAR], (count, len(CHANNELS), self.n_rays), path)
-            action = _floats(table[ACTION], (count, 2), path)
-            numbers = [_numbers(table[name], path) for name in ('episode_index', 'frame_index')]
+            for k in chosen:
+                yield self._run(source, path, k, k - begin)
+
+    def _run(self, source: Any, path: Path, k: int, place: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return scans and actions of a run, which is a row group."""
+        count = int(self.runs['length'][k])
+        if source.metadata.row_group(place).num_rows != count:
+            what = f'row group {place} has not the {count} rows that {EPISODES} tells of'
+            raise BagError(path, what, FIX)
+        names = [LIDAR, ACTION, 'episode_index', 'frame_index']
+        table = source.read_row_group(place, names, use_threads=False)
+        lidar = _floats(table[LIDAR], (count, len(CHANNELS), self.n_rays), path)
+        action = _floats(table[ACTION], (count, 2), path)
+        numbers = [_numbers(table[name], path) for name in names[2:]]
         if np.isnan(lidar).any() or not np.isfinite(action).all():
             what = f'row group {place} has NaN, or an action that is not finite'
             raise BagError(path, what, FIX)
@@ -134,7 +145,7 @@ def open_dataset(folder: Path) -> Dataset:
     with _open(path, ('bag',)) as source:
         if source.metadata.num_rows > LARGEST_RUNS:
             raise BagError(path, f'it has more than {LARGEST_RUNS} rows', FIX)
-        table = source.read([*NUMBERS, 'bag'])
+        table = source.read([*NUMBERS, 'bag'], use_threads=False)
         runs = {name: _numbers(table[name], path) for name in NUMBERS}
         names = table['bag'].combine_chunks()
         if not isinstance(names, pa.DictionaryArray) or names.null_count:
@@ -166,7 +177,7 @@ def _about(folder: Path) -> dict[str, Any]:
         raise BagError(folder, f'{ABOUT} is not there, so it is no data set of ours', FIX)
     try:
         with path.open('rb') as file:
-            about = json.loads(file.read(LARGEST_NOTE))
+            about = json.loads(file.read(LARGEST_NOTE).decode())
     except (OSError, ValueError, RecursionError) as error:
         raise BagError(path, f'it cannot be read ({error!r:.200})', FIX) from error
     if not isinstance(about, dict) or about.get('format') != FORMAT:

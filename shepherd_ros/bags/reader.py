@@ -186,6 +186,8 @@ def _folder(folder: Path) -> tuple[list[Path], Metadata | None]:
 
 def read_metadata(path: Path) -> Metadata:
     """Return what a metadata.yaml says; raises BagError."""
+    if not path.is_file():  # a pipe would never end
+        raise BagError(path, 'it is no file', 'expected the folder of a bag')
     try:
         with path.open('rb') as file:
             data = file.read(min(os.fstat(file.fileno()).st_size, LARGEST) + 1)

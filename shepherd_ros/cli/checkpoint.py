@@ -37,9 +37,14 @@ class Info:
             return 0
         path = checkpoint_file(self.checkpoint)
         config, record, version = read_metadata(path)
-        print(f'file:    {path}\nsize:    {path.stat().st_size} bytes\nversion: {version}')
+        said = version[:60] if version.isprintable() else ascii(version[:60])
+        print(f'file:    {path}\nsize:    {path.stat().st_size} bytes\nversion: {said}')
         for title, content in (('policy', config.to_dict()), ('record', record)):
-            print(f'{title}:\n{json.dumps(content, indent=2)}')
+            try:
+                text = json.dumps(content, indent=2)
+            except RecursionError:
+                raise UserError(f'{path}: its {title} is nested too deep to be shown') from None
+            print(f'{title}:\n{text}')
         if self.weights:
             for name, value in load_policy(self.checkpoint).state_dict().items():
                 print(f'{name:24} {tuple(value.shape)}')

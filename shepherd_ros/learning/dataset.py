@@ -49,16 +49,28 @@ class EpisodeExamples:
 
 
 def bag_folders(place: Path) -> list[Path]:
-    """Return the bags at a place: a bag itself, or a folder of bags; raises ConfigError."""
-    if place.suffix == '.mcap' or (place / FILE).exists():
-        return [place]
-    inside = sorted(path.parent for path in place.glob(f'*/{FILE}'))
-    if not inside:
+    """
+    Return the bags at a place: a bag itself, or a folder of bags; raises ConfigError.
+
+    Hidden folders are those of runs that were killed, and left out.
+    """
+
+    def is_bag(path: Path) -> bool:
+        return path.suffix == '.mcap' or (path / FILE).exists() or any(path.glob('*.mcap'))
+
+    try:
+        if is_bag(place):
+            return [place]
+        inside = sorted(p for p in place.iterdir() if p.is_dir() and p.name[0] != '.')
+        bags = [path for path in inside if is_bag(path)]
+    except OSError:
+        bags = []
+    if not bags:
         raise ConfigError(
             f'{place}: expected a bag, a folder of bags, as shepherd record writes, or a data '
             'set, as shepherd dataset build writes'
         )
-    return inside
+    return bags
 
 
 def sources(places: Sequence[Path], labels: str = '') -> list[Source]:

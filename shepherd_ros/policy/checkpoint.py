@@ -70,25 +70,27 @@ def read_metadata(path: Path) -> tuple[PolicyConfig, dict[str, Any], str]:
     try:
         with safe_open(path, framework='pt') as file:
             metadata = file.metadata() or {}
-    except (SafetensorError, OSError, ValueError) as error:
+    except (SafetensorError, MemoryError, OSError, ValueError) as error:
         raise ConfigError(
-            f'{path} is no whole safetensors file ({error}): copy or train it again'
+            f'{path} is no whole safetensors file ({error!s:.200}): copy or train it again'
         ) from error
     if metadata.get('format') != FORMAT:
         raise ConfigError(
-            f'{path} has format {metadata.get("format")!r}: expected {FORMAT!r}, as '
+            f'{path} has format {metadata.get("format")!r:.60}: expected {FORMAT!r}, as '
             'shepherd train writes'
         )
     try:
         config, record = (json.loads(metadata[key]) for key in ('config', 'record'))
     except (KeyError, ValueError, RecursionError) as error:
-        raise ConfigError(f'{path} has damaged metadata ({error}): copy it again') from error
+        raise ConfigError(
+            f'{path} has damaged metadata ({error!s:.200}): copy it again'
+        ) from error
     if not isinstance(config, dict) or not isinstance(record, dict):
         raise ConfigError(f'{path} has damaged metadata: config and record should be objects')
     try:
         return PolicyConfig.from_dict(config), record, str(metadata.get('version', '?'))
     except ConfigError as error:
-        raise ConfigError(f'{path}: {error}') from error
+        raise ConfigError(f'{path}: {error!s:.300}') from error
 
 
 def load_policy(name: str, device: str = 'cpu') -> Policy:
@@ -104,7 +106,7 @@ def load_policy(name: str, device: str = 'cpu') -> Policy:
             names = set(file.keys())
             if names != set(wanted):
                 odd = sorted(names ^ set(wanted))[0]
-                raise ConfigError(f'{path}: weights {odd!r} are missing or too many')
+                raise ConfigError(f'{path}: weights {odd!r:.60} are missing or too many')
             for key, like in wanted.items():
                 shape = tuple(file.get_slice(key).get_shape())
                 if shape != tuple(like.shape):
@@ -114,9 +116,9 @@ def load_policy(name: str, device: str = 'cpu') -> Policy:
                 state[key] = file.get_tensor(key).float()
                 if not state[key].isfinite().all():
                     raise ConfigError(f'{path}: weights {key!r} are not all finite')
-    except (SafetensorError, OSError, ValueError, RuntimeError) as error:
+    except (SafetensorError, MemoryError, OSError, ValueError, RuntimeError) as error:
         if isinstance(error, ConfigError):
             raise
-        raise ConfigError(f'{path} cannot be read ({error}): copy it again') from error
+        raise ConfigError(f'{path} cannot be read ({error!s:.200}): copy it again') from error
     policy.load_state_dict(state, assign=True)
     return policy.requires_grad_(False).eval()

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 import json
 from pathlib import Path
+import shutil
 from typing import Any
 from weakref import WeakSet
 
@@ -25,7 +26,13 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.evaluation.record import record_episodes
 from shepherd_ros.learning import dataset
-from shepherd_ros.learning.dataset import build_dataset, look_at, stream_examples, stream_steps
+from shepherd_ros.learning.dataset import (
+    bag_folders,
+    build_dataset,
+    look_at,
+    stream_examples,
+    stream_steps,
+)
 from shepherd_ros.learning.report import Report
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
@@ -330,6 +337,17 @@ def test_labels_of_a_built_folder_have_to_be_those_asked_for(bags: Path, tmp_pat
     build_dataset([bags], tmp_path / 'built', OBSERVATION)
     with pytest.raises(ConfigError, match="its labels are '', expected 'teacher'"):
         look_at([tmp_path / 'built'], OBSERVATION, 'teacher')
+
+
+def test_bags_are_found_with_and_without_metadata(bags: Path, tmp_path: Path) -> None:
+    for name in ('b', 'a', '.killed'):
+        shutil.copytree(bags / 'episode_000000', tmp_path / name)
+    (tmp_path / 'a' / 'metadata.yaml').unlink()
+    (tmp_path / 'notes').mkdir()
+    assert [path.name for path in bag_folders(tmp_path)] == ['a', 'b']
+    (file,) = (tmp_path / 'a').glob('*.mcap')
+    assert bag_folders(tmp_path / 'a') == [tmp_path / 'a']
+    assert bag_folders(file) == [file]
 
 
 def test_a_data_set_of_others_is_refused(bags: Path, tmp_path: Path) -> None:
