@@ -102,9 +102,9 @@ def _run(
     keep_memory()
     config = configured(kind, arguments.run_)
     if arguments.quick:
-        default = kind()
+        usual = kind()
         for name, value in QUICK[kind].items():
-            if getattr(config, name) == getattr(default, name):
+            if getattr(config, name) == getattr(usual, name):
                 config = replace(config, **{name: value})
     torch.manual_seed(arguments.run_.seed)
     policy = _policy(arguments, default)
