@@ -12,7 +12,7 @@ SEED ?= 0
 STEPS ?= 1000
 OUT ?= out/demo
 
-.PHONY: demo test setup lint table bench bench-learning clean browser
+.PHONY: demo test setup lint paper table bench bench-learning clean browser
 .DEFAULT_GOAL := demo
 
 demo: setup
@@ -42,8 +42,27 @@ browser:  # Chromium, in which the tests look at pages
 lint: setup
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/codespell
 
-table: setup  # the table of heuristics in README.md, about half an hour
-	$(BIN)/shepherd evaluate --out out/table.md
+# What the paper shows, with intervals and a verdict on each of its statements, in docs/results/.
+# An interrupted run goes on where it was. QUICK=1: a few short episodes, in out/quick/.
+WORKERS ?= 2
+POLICIES ?= policy
+CURVES ?= docs/curves
+ifdef QUICK
+ROWS := out/quick/rows
+RESULTS := out/quick/results
+SHORT := --quick
+else
+ROWS := out/rows
+RESULTS := docs/results
+endif
+
+paper: setup
+	$(BIN)/shepherd evaluate all $(SHORT) --workers $(WORKERS) --policies $(POLICIES) --out $(ROWS)
+	$(BIN)/shepherd figures $(ROWS) --report --curves $(CURVES) --out $(RESULTS) \
+	  --command 'make paper$(if $(QUICK), QUICK=1)'
+
+table: setup  # teams and flocks, all controllers: hours; $(ROWS)/table.md
+	$(BIN)/shepherd evaluate table $(SHORT) --workers $(WORKERS) --policies $(POLICIES) --out $(ROWS)
 
 bench: setup
 	$(BIN)/python benchmarks/core.py && $(BIN)/python benchmarks/ring.py

@@ -150,10 +150,7 @@ def test_a_bad_argument_of_the_replay_is_named(given: dict[str, str], message: s
         (['demo', '--flock', 'boids'], "flock is 'boids': expected one of reynolds, strombom"),
         (['demo', '--sheep', '0'], '--sheep is 0: expected at least 1'),
         (['demo', '--animation', 'avi'], "--animation is 'avi': expected gif, mp4 or none"),
-        (['evaluate', '--controllers', 'dog'], "controller is 'dog': expected one of"),
-        (['evaluate', '--episodes', '0'], '--episodes is 0: expected at least 1'),
-        (['evaluate', '--shepherds', '0'], 'n_shepherds is 0: expected a value in'),
-        (['evaluate', '--preset', 'papr'], "preset is 'papr'"),
+        (['evaluate', '9'], "experiment is '9': expected one of"),
     ],
 )
 def test_a_bad_word_after_shepherd_is_named(

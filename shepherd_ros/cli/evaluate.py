@@ -28,6 +28,8 @@ class Evaluate:
     """Names such as 4, fig5, fractions, table, herdability; or paper, beyond, all."""
     controllers: tuple[str, ...] = ()
     """Who drives, a policy as policy:CHECKPOINT; those of the experiment if not given."""
+    policies: tuple[str, ...] = ()
+    """Policies in the place of `policy` among the controllers, such as policy:CHECKPOINT."""
     episodes: int | None = None
     """Episodes of each cell; 100 if not given, 20 for the large sweeps beyond the paper."""
     workers: int = 1
@@ -116,7 +118,7 @@ class Evaluate:
         return replace(
             experiment,
             settings=settings,
-            controllers=self.controllers or experiment.controllers,
+            controllers=_with_policies(self.controllers or experiment.controllers, self.policies),
             episodes=episodes if self.episodes is None else self.episodes,
         )
 
@@ -143,6 +145,13 @@ def _with_values(
         return settings
     changed = (replace(s, **{name: value}) for value in values for s in settings)  # type: ignore[arg-type]
     return tuple(dict.fromkeys(changed))
+
+
+def _with_policies(names: tuple[str, ...], policies: tuple[str, ...]) -> tuple[str, ...]:
+    """Return controllers with others in the place of `policy`."""
+    if 'policy' not in names or not policies:
+        return names
+    return (*policies, *(name for name in names if name != 'policy'))
 
 
 def commit() -> str:

@@ -113,7 +113,7 @@ def verdict(low: float, high: float, least: float, most: float) -> str:
     Agrees if the whole interval lies within the bounds, disagrees if none of it does, else
     undecided; also undecided without an interval.
     """
-    if math.isnan(low) or math.isnan(high):
+    if not (math.isfinite(low) and math.isfinite(high)):
         return UNDECIDED
     if least <= low and high <= most:
         return AGREES
@@ -126,7 +126,8 @@ def judge(clause: Clause, sweep: Sweep) -> Finding:
     if len(sweep.samples.seeds) < 2:
         return Finding(clause, nan, nan, nan, UNDECIDED, 'a single episode has no interval')
     try:
-        drawn = clause.quantity(sweep)
+        with np.errstate(divide='ignore', invalid='ignore'):  # then there is no verdict
+            drawn = clause.quantity(sweep)
     except MissingError as error:
         return Finding(clause, nan, nan, nan, UNDECIDED, str(error))
     low, high = (float(end) for end in percentiles(drawn[1:]))
