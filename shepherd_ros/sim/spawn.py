@@ -16,7 +16,8 @@ def spawn(config: WorldConfig, seed: Tensor, dtype: torch.dtype = torch.float32)
 
     The flock's center lies in a random direction from the goal, the shepherds' center in a random
     direction from the flock's (from its first group's, if it has several); each agent is a signed
-    normal distance from its center, in a random direction. The k-th agent of a seed starts in the same place whatever the size of its group.
+    normal distance from its center, in a random direction. The k-th agent of a seed starts in the
+    same place whatever the size of its group, given the number of groups.
     """
     device, zero = seed.device, torch.zeros_like(seed)
     n, m, start = config.n_sheep, config.n_shepherds, config.spawn
