@@ -4,7 +4,8 @@ The drover, a heuristic of this project: drives from far behind, lets go when th
 Pushes do not grow with nearness in the Strömbom flock, and sheep rest while nobody is near. So the
 team stands on an arc behind the flock, seen from the goal, as far as it can and still be noticed;
 it need not follow the flock, only turn about the goal. When every sheep is inside, it goes out of
-their sight, or where they would wander without it, closes a ring around them.
+their sight onto a ring around them. Sheep that never rest are driven from near and with haste, and
+the ring is so narrow that they are turned back wherever they go.
 """
 
 from __future__ import annotations
@@ -35,14 +36,20 @@ class DroverConfig(Config):
     notice: float = option(
         0.0, 'sheep notice shepherds so near [m]; 0: as the flock of the world', low=0.0
     )
-    stand_off: float = option(4.0, 'least distance to the flock while driving [m]', low=0.0)
+    stand_off: float = option(
+        0.0, 'least distance to the flock while driving [m]; 0: as suits the flock', low=0.0
+    )
     spacing: float = option(0.25, 'angle between neighbours on the arc [rad]', low=0.0)
     reach: float = option(
-        0.45, 'sheep so far from the middle are pushed back, in goal radii', low=0.0, high=1.0
+        0.0,
+        'sheep so far from the middle notice the ring, in goal radii, negative: all inside notice '
+        'it; 0: as suits the flock',
+        low=-1.0,
+        high=1.0,
     )
     gain: float = option(
-        0.5,
-        'speed over the distance to a place, K_d [1/s]; gentle ways are easy to learn',
+        0.0,
+        'speed over the distance to a place, K_d [1/s]; 0: as suits the flock',
         low=0.0,
     )
     patience: float = option(
@@ -50,6 +57,35 @@ class DroverConfig(Config):
     )
     arrived: float = option(0.8, 'share of the flock that has to be inside', low=0.0, high=1.0)
     lost: float = option(0.5, 'a smaller share inside is driven home again', low=0.0, high=1.0)
+
+
+@dataclass(frozen=True)
+class Manner:
+    """How a flock is driven: the options of the same names."""
+
+    stand_off: float  # [m]
+    reach: float  # [goal radii]
+    gain: float  # [1/s]
+
+
+GENTLE = Manner(4.0, 0.45, 0.5)  # for sheep that rest when nobody is near; easy to learn
+QUICK = Manner(2.0, -0.25, 2.0)  # for sheep that never rest, by a team that can close a ring
+FEW = Manner(4.0, -0.25, 0.5)  # the same by one or two, who cannot
+RING = 3  # so many shepherds close a ring
+
+
+def manner_for(world: WorldConfig, team: Tensor, config: DroverConfig) -> tuple[Tensor, ...]:
+    """Return stand_off [m], reach [goal radii] and gain [1/s] for teams of a size, (...) each."""
+    restless = isinstance(world.flock, ReynoldsFlock)
+    many, few = (QUICK, FEW) if restless else (GENTLE, GENTLE)
+    return tuple(
+        torch.where(
+            team >= RING,
+            getattr(config, name) or getattr(many, name),
+            getattr(config, name) or getattr(few, name),
+        )
+        for name in ('stand_off', 'reach', 'gain')
+    )
 
 
 def notice_range(world: WorldConfig) -> float:
@@ -77,7 +113,9 @@ class DroverController(Controller):
         goal, center = seen.goal[..., None, :], seen.center[..., None, :]  # (..., 1, 2) m
         radius = seen.goal_radius[..., None]
         notice = config.notice or notice_range(self.world)
-        edge = notice + config.reach * radius  # (..., 1) m
+        team = seen.team_size[..., None]
+        stand_off, reach, gain = manner_for(self.world, team, config)  # (..., 1)
+        edge = notice + reach * radius  # (..., 1) m
         behind = bearing(center - goal)  # (..., 1) rad
 
         gap = torch.where(seen.sheep_mask, distance_to_rim(seen), -torch.inf)  # (..., N) m
@@ -88,7 +126,7 @@ class DroverController(Controller):
         ring = self._turned_to_strays(seen, gap, ring, spacing)
 
         far = torch.linalg.vector_norm(seen.sheep - center, dim=-1) * seen.sheep_mask
-        clear = far.amax(dim=-1, keepdim=True) + config.stand_off
+        clear = far.amax(dim=-1, keepdim=True) + stand_off
         away = torch.linalg.vector_norm(center - goal, dim=-1)
         stand = torch.where(home[..., None], edge, (away + clear).clamp(min=notice))
         middle = torch.where(home, ring, behind[..., 0])[..., None]
@@ -99,7 +137,7 @@ class DroverController(Controller):
         # on the ring the way is along it, as a straight one would cut through the flock
         closing = self._along_ring(seen, place, stand)
         way = torch.where(home[..., None, None], closing, self._round(seen, target, center, clear))
-        velocity = clip_norm(way * config.gain, self.world.shepherd_speed)
+        velocity = clip_norm(way * gain[..., None], self.world.shepherd_speed)
         return velocity, {'home': home, 'ring': ring}
 
     def _turned_to_strays(
@@ -119,7 +157,7 @@ class DroverController(Controller):
         watched = (outside & (off < FRONT)).any(dim=-1) | ~outside.any(dim=-1)
         farthest = stray.gather(-1, gap.argmax(dim=-1, keepdim=True))[..., 0]
         turned = farthest + (seen.team_size - 1) / 2 * spacing
-        return torch.where(watched | (seen.team_size > 2), ring, turned)
+        return torch.where(watched | (seen.team_size >= RING), ring, turned)
 
     def _along_ring(self, seen: WorldState, place: Tensor, stand: Tensor) -> Tensor:
         """Return the way to a place on a ring about the goal, along the ring; (..., H, 2) m."""

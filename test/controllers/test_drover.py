@@ -10,6 +10,7 @@ import pytest
 from reference import state_of
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.controllers.base import Memory
+from shepherd_ros.controllers.drover import RING
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.reward import distance_to_rim
 from shepherd_ros.sim.spawn import spawn
@@ -123,9 +124,24 @@ def test_a_lone_shepherd_turns_to_the_farthest_stray() -> None:
 def test_how_near_sheep_notice_is_that_of_the_flock_or_what_is_given() -> None:
     world = replace(WORLD, flock=ReynoldsFlock())
     place, _ = settle(scene(square(1, 0), [(9.0, 0.0)]), 100, world, arrived=1.0)
-    assert place.norm().item() == pytest.approx(7.5 + 0.45 * 4, abs=0.1)  # all four are inside
+    # all four are inside: a ring so narrow that none can be there unnoticed
+    assert place.norm().item() == pytest.approx(7.5 - 0.25 * 4, abs=0.1)
     place, _ = settle(scene(square(10, 0), [(30.0, 0.0)]), 100, notice=25.0)
     assert place.tolist() == pytest.approx([25.0, 0.0], abs=0.05)
+
+
+def test_sheep_that_never_rest_are_kept_home_by_a_ring_of_three_and_more() -> None:
+    world = WorldConfig(n_sheep=50, n_shepherds=6, flock=ReynoldsFlock())
+    world = replace(world, spawn=replace(world.spawn, fewest_shepherds=RING))
+    controller = make_controller('drover', world)
+    state = spawn(world, torch.arange(16))
+    assert int(state.team_size.min()) >= RING
+    memory = controller.begin(state)
+    for _ in range(600):
+        command, memory = controller.act(state, memory)
+        state = step(state, command, world)
+    inside = (distance_to_rim(state) <= 0).float().mean(dim=-1)
+    assert float((inside > 0.95).float().mean()) >= 0.8
 
 
 def test_a_flock_is_brought_home_and_comes_to_rest() -> None:
