@@ -147,7 +147,7 @@ def draw_maps(samples: Samples) -> Figure:
     rows = list(dict.fromkeys(samples.axis(down)))
     columns = list(dict.fromkeys(samples.axis(across)))
     metrics, names = samples.experiment.panels, samples.controllers
-    width, height = max(1.5 + 0.4 * len(columns), 2.4), 1.1 + 0.28 * len(rows)
+    width, height = max(1.5 + 0.4 * len(columns), 3.2), 1.1 + 0.28 * len(rows)
     figure, panels = new_figure(len(metrics), len(names), width, height)
     for metric, line in zip(metrics, panels, strict=True):
         means = {name: samples.values[name, metric].mean(axis=-1) for name in names}

@@ -62,7 +62,7 @@ def describe(setting: Setting) -> str:
         for name, text in _TEXTS.items()
         if getattr(setting, name) != getattr(plain if name in ('preset', 'flock') else base, name)
     ]
-    return ', '.join(words) or 'as the paper'
+    return ', '.join(words) or 'default setting'
 
 
 def settled(setting: Setting) -> Setting:

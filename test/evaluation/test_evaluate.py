@@ -109,7 +109,7 @@ def test_experiments_have_the_settings_of_section_10() -> None:
 
 
 def test_a_setting_says_in_what_it_differs_from_the_paper() -> None:
-    assert describe(settled(Setting())) == 'as the paper'
+    assert describe(settled(Setting())) == 'default setting'
     assert describe(settled(Setting(sheep=10, rays=64))) == '10 sheep, 64 rays'
     assert describe(settled(Setting(preset='rho_a_one'))) == 'preset rho_a_one'
     assert env_config(Setting(start='two_groups')).world.spawn.flock_groups == 2
