@@ -34,7 +34,7 @@ class DaggerConfig(Config):
 
     seed: int = option(0, 'seed of weights, worlds and order', low=0)
     teacher: str = option('drover', 'controller that is imitated')
-    reynolds_teacher: str = option('pierson', 'the same for a Reynolds flock')
+    reynolds_teacher: str = option('drover', 'the same for a Reynolds flock')
     rounds: int = option(60, 'rounds of driving and learning', low=1)
     shown: int = option(6, 'first rounds, in which the teacher drives all worlds', low=0)
     steps: int = option(40, 'steps of a round', low=1)
