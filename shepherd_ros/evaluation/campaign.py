@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+import os
 from pathlib import Path
+from threading import Thread
 
 from shepherd_ros.config import ConfigError
 from shepherd_ros.evaluation.cells import Cell, cell_file, key_of, run_into, TOGETHER
@@ -62,6 +64,19 @@ def shard_of(tasks: Sequence[Task], shard: str) -> list[Task]:
     return list(tasks[index - 1 :: count])
 
 
+def begin_worker() -> None:
+    """Take one thread, and end at once when the process that started this one was killed."""
+    torch.set_num_threads(1)
+
+    def end_with_parent() -> None:
+        parent = parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    Thread(target=end_with_parent, daemon=True).start()
+
+
 def run_tasks(
     folder: Path,
     tasks: Sequence[Task],
@@ -71,7 +86,7 @@ def run_tasks(
 ) -> None:
     """Run cells in processes of their own, long ones first; on_done(cell) after each."""
     longest = sorted(tasks, key=lambda task: -task.cell.cost())
-    with ProcessPoolExecutor(workers, get_context('spawn'), torch.set_num_threads, (1,)) as pool:
+    with ProcessPoolExecutor(workers, get_context('spawn'), begin_worker) as pool:
         running: set[Future[Cell]] = {
             pool.submit(run_into, folder, task.cell, task.key, code) for task in longest
         }
