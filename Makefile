@@ -12,7 +12,7 @@ SEED ?= 0
 STEPS ?= 1000
 OUT ?= out/demo
 
-.PHONY: demo test setup lint paper table bench bench-learning clean browser
+.PHONY: demo test setup lint train paper table bench bench-learning clean browser
 .DEFAULT_GOAL := demo
 
 demo: setup
@@ -41,6 +41,23 @@ browser:  # Chromium, in which the tests look at pages
 
 lint: setup
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/codespell
+
+# A policy of your own: bags of the teacher, cloning, DAgger, evaluation. Training that was
+# interrupted begins again; bags and rows that are there stay.
+TRAINED ?= out/train
+EPISODES ?= 60
+EPOCHS ?= 4
+ROUNDS ?= 40
+RING := --policy.observation.layout ring --policy.network.padding circular
+
+train: setup
+	$(BIN)/shepherd record --controller drover --training --steps 400 --episodes $(EPISODES) \
+	  --workers 2 --out $(TRAINED)/bags
+	$(BIN)/shepherd train bc $(TRAINED)/bags $(RING) --epochs $(EPOCHS) --out $(TRAINED)/bc
+	$(BIN)/shepherd train dagger --start $(TRAINED)/bc/best.safetensors --rounds $(ROUNDS) \
+	  --out $(TRAINED)/dagger
+	$(BIN)/shepherd evaluate table --sheep 100 --shepherds 1 3 6 --episodes 32 --workers 2 \
+	  --controllers drover policy:$(TRAINED)/dagger/best.safetensors --out $(TRAINED)/rows
 
 # What the paper shows, with intervals and a verdict on each of its statements, in docs/results/.
 # An interrupted run goes on where it was. QUICK=1: a few short episodes, in out/quick/.
