@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-CONTROLLER ?= strombom
+CONTROLLER ?= policy
 SHEEP ?= 100
 SHEPHERDS ?= 3
 FLOCK ?= strombom

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -38,13 +39,27 @@ def herding_stack(
         Process('flock_sim', 'flock_sim', {'n_shepherds': n_shepherds, **flock_sim}),
         *lidars,
         Process('metrics', 'metrics'),
-        Process(controller, controller, commanded(controller, n_shepherds)),
+        Process(controller, controller, commanded(controller, n_shepherds, flock_sim)),
     ]
 
 
-def commanded(controller: str, n_shepherds: int) -> dict[str, Any]:
-    """Return the parameters with which a controller commands a whole team; most need none."""
-    return {'shepherd_ids': list(range(n_shepherds))} if controller == 'policy' else {}
+# flock model -> the shipped checkpoint that was trained for it
+TRAINED_FOR = {'strombom': 'imitation', 'reynolds': 'reynolds'}
+
+
+def commanded(
+    controller: str, n_shepherds: int, flock_sim: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """
+    Return the parameters with which a controller commands a whole team; most need none.
+
+    flock_sim are parameters of the world: a policy is that for its flock model.
+    """
+    if controller != 'policy':
+        return {}
+    flock = str((flock_sim or {}).get('flock', 'strombom'))
+    trained = {'checkpoint': TRAINED_FOR[flock]} if flock in TRAINED_FOR else {}
+    return {'shepherd_ids': list(range(n_shepherds)), **trained}
 
 
 # name -> default and description; empty means that the node's own default holds

@@ -7,14 +7,18 @@ import pytest
 from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes.defaults import parameter_file, WITH_FILE
+from shepherd_ros.policy.checkpoint import shipped_checkpoints
 from shepherd_ros.share import share_file
+from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.stack import (
+    commanded,
     herding_stack,
     LAUNCH_ARGUMENTS,
     launch_values,
     REPLAY_ARGUMENTS,
     replay_values,
     ReplayValues,
+    TRAINED_FOR,
 )
 from shepherd_ros.topics import renamed_topics
 import yaml
@@ -32,7 +36,11 @@ def test_a_parameter_file_is_the_defaults_of_its_node(name: str) -> None:
 
 def test_the_stack_has_a_lidar_for_each_shepherd_and_distinct_names() -> None:
     (learned,) = [p for p in herding_stack('policy', 2) if p.name == 'policy']
-    assert learned.parameters == {'shepherd_ids': [0, 1]}  # its own default is the first alone
+    # its own default is the first shepherd alone
+    assert learned.parameters == {'shepherd_ids': [0, 1], 'checkpoint': 'imitation'}
+    assert commanded('policy', 1, {'flock': 'reynolds'})['checkpoint'] == 'reynolds'
+    assert set(TRAINED_FOR.values()) <= set(shipped_checkpoints())
+    assert set(TRAINED_FOR) == set(FLOCK_MODELS)
     stack = herding_stack('pierson', 5, n_sheep=7, wait_for_scans=True)
     assert [p.executable for p in stack].count('lidar') == 5
     assert len({p.name for p in stack}) == len(stack) == 8
@@ -148,6 +156,7 @@ def test_a_bad_argument_of_the_replay_is_named(given: dict[str, str], message: s
     [
         (['demo', '--controller', 'piersen'], "did you mean 'pierson'"),
         (['demo', '--flock', 'boids'], "flock is 'boids': expected one of reynolds, strombom"),
+        (['demo', '--preset', 'fine_dt'], 'dt is 0.1 s: expected 0.5 s'),
         (['demo', '--sheep', '0'], '--sheep is 0: expected at least 1'),
         (['demo', '--animation', 'avi'], "--animation is 'avi': expected gif, mp4 or none"),
         (['evaluate', '9'], "experiment is '9': expected one of"),

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from shepherd_ros.cli import UserError
 from shepherd_ros.cli.processes import isolate, Running, running
-from shepherd_ros.stack import herding_stack
+from shepherd_ros.stack import herding_stack, TRAINED_FOR
 
 if TYPE_CHECKING:
     from shepherd_ros.nodes.witness import Witness
@@ -26,8 +26,8 @@ PATIENCE = 60.0  # [s] wall time without any news before giving up
 class Demo:
     """Herd a flock over ROS 2 topics with separate processes; draw what happened."""
 
-    controller: str = 'strombom'
-    """Executable that commands the shepherds: strombom, pierson, drover, policy, idle, random."""
+    controller: str = 'policy'
+    """Executable that commands the shepherds: policy, strombom, pierson, drover, idle, random."""
     sheep: int = 100
     """Sheep in the flock."""
     shepherds: int = 3
@@ -65,11 +65,13 @@ class Demo:
 
     def _check(self) -> None:
         """Refuse what no process could do, before any is started."""
-        from shepherd_ros.controllers import controller_type
+        from shepherd_ros.controllers import controller_type, make_controller
         from shepherd_ros.sim.presets import world_preset
 
         controller_type(self.controller)
-        world_preset(self.preset, self.flock)
+        world = world_preset(self.preset, self.flock)
+        if self.controller == 'policy':  # it may have been trained with another time step
+            make_controller(self.controller, world, checkpoint=TRAINED_FOR[self.flock])
         for name, value, least in (
             ('sheep', self.sheep, 1), ('shepherds', self.shepherds, 1), ('steps', self.steps, 1)
         ):  # fmt: skip

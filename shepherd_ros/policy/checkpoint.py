@@ -36,6 +36,7 @@ def save_policy(path: Path, policy: Policy, record: Mapping[str, Any]) -> None:
     beside = path.with_suffix('.part')
     state = {name: value.contiguous() for name, value in policy.state_dict().items()}
     save_file(state, beside, metadata)
+    beside.chmod(0o644)  # it is made for its owner alone, but goes into installations
     beside.replace(path)
 
 
