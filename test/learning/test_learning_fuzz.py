@@ -19,7 +19,7 @@ from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import ObservationConfig
 
-FUZZ = Path(__file__).with_name('fuzz.py')
+FUZZ = Path(__file__).with_name('learning_fuzz.py')
 MEMORY = Path('/dev/shm')
 CASES = (('checkpoint:2000',), ('built:1000', 'bag:1000'))
 SMALL = PolicyConfig(
