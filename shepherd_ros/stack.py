@@ -47,6 +47,11 @@ def herding_stack(
 TRAINED_FOR = {'strombom': 'imitation', 'reynolds': 'reynolds'}
 
 
+def checkpoint_for(flock: str) -> str:
+    """Return the shipped checkpoint for a flock model, that of Strömbom's for a new one."""
+    return TRAINED_FOR.get(flock, TRAINED_FOR['strombom'])
+
+
 def commanded(
     controller: str, n_shepherds: int, flock_sim: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
@@ -57,9 +62,8 @@ def commanded(
     """
     if controller != 'policy':
         return {}
-    flock = str((flock_sim or {}).get('flock', 'strombom'))
-    trained = {'checkpoint': TRAINED_FOR[flock]} if flock in TRAINED_FOR else {}
-    return {'shepherd_ids': list(range(n_shepherds)), **trained}
+    checkpoint = checkpoint_for((flock_sim or {}).get('flock', 'strombom'))
+    return {'shepherd_ids': list(range(n_shepherds)), 'checkpoint': checkpoint}
 
 
 # name -> default and description; empty means that the node's own default holds

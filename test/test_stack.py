@@ -11,6 +11,7 @@ from shepherd_ros.policy.checkpoint import shipped_checkpoints
 from shepherd_ros.share import share_file
 from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.stack import (
+    checkpoint_for,
     commanded,
     herding_stack,
     LAUNCH_ARGUMENTS,
@@ -39,6 +40,7 @@ def test_the_stack_has_a_lidar_for_each_shepherd_and_distinct_names() -> None:
     # its own default is the first shepherd alone
     assert learned.parameters == {'shepherd_ids': [0, 1], 'checkpoint': 'imitation'}
     assert commanded('policy', 1, {'flock': 'reynolds'})['checkpoint'] == 'reynolds'
+    assert checkpoint_for('a new one') == 'imitation'
     assert set(TRAINED_FOR.values()) <= set(shipped_checkpoints())
     assert set(TRAINED_FOR) == set(FLOCK_MODELS)
     stack = herding_stack('pierson', 5, n_sheep=7, wait_for_scans=True)

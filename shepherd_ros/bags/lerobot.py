@@ -212,8 +212,8 @@ class DatasetWriter:
             stats[name]['count'] = [self.rows]
         for path, content in ((INFO, info), (ABOUT, about), (STATS, stats)):
             (self.part / path).write_text(json.dumps(content, indent=1), encoding='utf-8')
-        columns = [{'name': name, 'field_name': name, 'metadata': None} for name in ('task',)]
-        note = {'index_columns': ['task'], 'column_indexes': [], 'columns': columns}
+        column = {'name': 'task', 'field_name': 'task', 'metadata': None}
+        note = {'index_columns': ['task'], 'column_indexes': [], 'columns': [column]}
         task = pa.schema([('task_index', _LONG), ('task', pa.string())])
         task = task.with_metadata({'pandas': json.dumps(note)})
         parquet.write_table(pa.table([[0], [TASK]], schema=task), self.part / TASKS)

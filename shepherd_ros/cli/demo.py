@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from shepherd_ros.cli import UserError
 from shepherd_ros.cli.processes import isolate, Running, running
-from shepherd_ros.stack import herding_stack, TRAINED_FOR
+from shepherd_ros.stack import checkpoint_for, herding_stack
 
 if TYPE_CHECKING:
     from shepherd_ros.nodes.witness import Witness
@@ -71,7 +71,7 @@ class Demo:
         controller_type(self.controller)
         world = world_preset(self.preset, self.flock)
         if self.controller == 'policy':  # it may have been trained with another time step
-            make_controller(self.controller, world, checkpoint=TRAINED_FOR[self.flock])
+            make_controller(self.controller, world, checkpoint=checkpoint_for(self.flock))
         for name, value, least in (
             ('sheep', self.sheep, 1), ('shepherds', self.shepherds, 1), ('steps', self.steps, 1)
         ):  # fmt: skip

@@ -20,7 +20,7 @@ from shepherd_ros.evaluation.claims import (
     verdict,
 )
 from shepherd_ros.evaluation.curves import Curve, judge_curve
-from shepherd_ros.evaluation.methods import checkpoint_of, how_made, label, loaded
+from shepherd_ros.evaluation.methods import checkpoint_of, label, loaded, training_of
 from shepherd_ros.evaluation.samples import Samples
 from shepherd_ros.evaluation.statements import CLAIMS
 from shepherd_ros.evaluation.value_map import BEHIND, value_map
@@ -46,15 +46,14 @@ class Judgement:
 
 def has_critic(policy: str) -> bool:
     """Return whether a policy's critic was trained: only PPO does that."""
-    return ' ppo' in how_made(policy)
+    return 'ppo' in training_of(policy)
 
 
 def trained_on(policy: str) -> set[str]:
     """Return the flocks that a policy was trained with, as its checkpoint says."""
-    command = how_made(policy)
-    if 'flock both' in command:
-        return {'strombom', 'reynolds'}
-    return {'reynolds' if 'reynolds' in command else 'strombom'}
+    task = training_of(policy).get('task')
+    flock = task.get('flock') if isinstance(task, dict) else None
+    return {'strombom', 'reynolds'} if flock == 'both' else {str(flock)}
 
 
 def judge_samples(samples: Samples) -> list[Judgement]:

@@ -6,6 +6,7 @@ from copy import copy
 from dataclasses import replace
 from functools import cache
 import hashlib
+from typing import Any
 
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import controller_type, make_controller
@@ -76,12 +77,20 @@ def _read(checkpoint: str, written: int) -> tuple[Policy, str]:
 
 
 def how_made(name: str) -> str:
-    """Return how a policy was trained, as its checkpoint says; empty for other controllers."""
-    checkpoint = checkpoint_of(name)
-    if not checkpoint:
-        return ''
-    _, record, _ = read_metadata(checkpoint_file(checkpoint))
-    return str(record.get('command', 'the checkpoint does not say'))
+    """Return the command that trained a policy, as its checkpoint says."""
+    return str(_record(name).get('command', 'the checkpoint does not say'))
+
+
+def training_of(name: str) -> dict[str, Any]:
+    """Return the configuration of a policy's training, empty where its checkpoint has none."""
+    config = _record(name).get('config')
+    run = config.get('run') if isinstance(config, dict) else None
+    return run if isinstance(run, dict) else {}
+
+
+def _record(name: str) -> dict[str, Any]:
+    """Return what the checkpoint of a policy says about its making."""
+    return read_metadata(checkpoint_file(checkpoint_of(name)))[1]
 
 
 class FaultyLidarController(LearnedController):

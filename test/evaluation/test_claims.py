@@ -28,7 +28,13 @@ from shepherd_ros.evaluation.claims import (
 )
 from shepherd_ros.evaluation.curves import Curve, find_curves, judge_curve
 from shepherd_ros.evaluation.experiments import EXPERIMENTS
-from shepherd_ros.evaluation.judgement import judge_curves, judge_samples, judge_values
+from shepherd_ros.evaluation.judgement import (
+    has_critic,
+    judge_curves,
+    judge_samples,
+    judge_values,
+    trained_on,
+)
 from shepherd_ros.evaluation.quantities import below, change, ratio, slope
 from shepherd_ros.evaluation.rows import read_rows, Rows, SCHEMA, table_of, VALUES, write_rows
 from shepherd_ros.evaluation.samples import Samples, samples_of
@@ -36,6 +42,7 @@ from shepherd_ros.evaluation.setting import env_config, Setting, settled
 from shepherd_ros.evaluation.statements import CLAIMS
 from shepherd_ros.evaluation.table import interval_text, markdown
 from shepherd_ros.evaluation.value_map import value_map
+from shepherd_ros.policy.checkpoint import save_policy
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.metrics import count_step, metrics, start_tally
 from shepherd_ros.sim.spawn import spawn
@@ -246,6 +253,27 @@ def test_a_policy_that_was_not_trained_on_reynolds_gets_no_verdict_there() -> No
     assert 'not trained with the Reynolds' in mine[0].findings[0].reason
     assert mine[0].findings[0].value == pytest.approx(0.99)
     assert next(j for j in judged if j.statement.startswith('Pierson brings')).verdict == AGREES
+
+
+@pytest.mark.parametrize(
+    ('name', 'flocks', 'critic'),
+    [('imitation', {'strombom'}, False), ('strombom', {'strombom'}, True),
+     ('reynolds', {'reynolds'}, True)],
+)  # fmt: skip
+def test_what_a_shipped_policy_was_trained_on(name: str, flocks: set[str], critic: bool) -> None:
+    assert trained_on(f'policy:{name}') == flocks
+    assert has_critic(f'policy:{name}') is critic
+
+
+def test_what_a_policy_was_trained_on_is_not_guessed_from_names(tmp_path: Path) -> None:
+    path = tmp_path / 'x.safetensors'
+    record = {
+        'command': 'shepherd train dagger --start runs/reynolds ppo --flock both',
+        'config': {'run': {'task': {'flock': 'strombom'}}},
+    }
+    save_policy(path, Policy(PolicyConfig()), record)
+    assert trained_on(f'policy:{path}') == {'strombom'}
+    assert not has_critic(f'policy:{path}')
 
 
 # ---- curves and critics ----
