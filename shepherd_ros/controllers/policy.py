@@ -46,7 +46,8 @@ class LearnedController(Controller):
 
     def begin(self, seen: WorldState) -> Memory:
         """Return the memory of a team that has seen nothing."""
-        return pilot.begin(self.policy, seen.step.shape, seen.shepherds.shape[-2])
+        team = seen.shepherds.shape[-2]
+        return pilot.begin(self.policy, seen.step.shape, team, self.dtype)
 
     def look(self, seen: WorldState) -> Tensor:
         """Return what the shepherds' lidars see, (..., H, 3, R) m."""
@@ -64,10 +65,7 @@ class LearnedController(Controller):
             seen.shepherd_mask,
             memory,
             self.world.shepherd_speed,
-            (lambda: action_draws(seen.seed, seen.step, seen.shepherds.shape[-2]))
-            if self.config.sample
-            else None,
-            self.dtype,
+            draws if self.config.sample else None,
         )
 
 

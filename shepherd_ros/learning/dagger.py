@@ -92,9 +92,9 @@ class Lesson:
             if t % self.config.every == 0:
                 present = state.shepherd_mask
                 frames = self.learned['history'][present][:, ::apart]
-                first = self.policy.first_ray(frames[:, -1])
+                first = self.learned['first'][present]
                 wanted = turned(label[present], -first, frames.shape[-1])
-                examples.add(self.policy.scaled(frames), first, wanted)
+                examples.add(frames, first, wanted)
             driven = label if teacher_drives else command
             self.visits.add(self.group, driven, label)
             self.group.advance(driven, 1, team_reward)

@@ -56,6 +56,7 @@ class PolicyNode(ShepherdNode):
         self.present: list[int] = []
         self.refused = ''
         self.memory: Memory = {}
+        self.newest = torch.empty(0)  # last ranges (H, 3, R) m of those present
         self.last: tuple[int, Tensor] | None = None
         self.heard = self.wall()
         self.stale = False
@@ -100,6 +101,7 @@ class PolicyNode(ShepherdNode):
 
     def on_scans(self, ns: int, ranges: dict[int, np.ndarray]) -> None:
         """Answer the scans of a stamp; the same stamp again gets the same answer."""
+        n_rays = self.policy.config.lidar.n_rays
         begun, self.heard, self.stale = perf_counter(), self.wall(), False
         episode = self.episode
         if episode is None or not episode.has(ns):
@@ -107,6 +109,7 @@ class PolicyNode(ShepherdNode):
         if self.last is None or ns != self.last[0]:
             if self.last is None or ns < self.last[0]:
                 self.memory = pilot.begin(self.policy, (), len(self.present))
+                self.newest = torch.full((len(self.present), 3, n_rays), torch.inf)
             self.last = (ns, self._decide(ns, ranges, episode))
         self._publish(*self.last)
         self.answers += 1
@@ -115,7 +118,7 @@ class PolicyNode(ShepherdNode):
     def _decide(self, ns: int, ranges: dict[int, np.ndarray], episode: Episode) -> Tensor:
         """Return velocities (H, 2) m/s, zero for those whose scans are not all there."""
         there = torch.tensor([h in ranges for h in self.present])
-        newest = self.memory['history'][:, -1].clone()  # stands in for what is missing
+        newest = self.newest.clone()  # what was seen before stands in for what is missing
         for i, h in enumerate(self.present):
             if h in ranges:
                 newest[i] = torch.from_numpy(ranges[h])
@@ -124,6 +127,7 @@ class PolicyNode(ShepherdNode):
             seed, step = torch.tensor(episode.seed), torch.tensor(episode.step_of(ns))
             return action_draws(seed, step, episode.n_shepherds)[self.present]
 
+        self.newest = newest
         command, self.memory = pilot.fly(
             self.policy,
             lambda: newest,

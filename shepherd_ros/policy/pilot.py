@@ -13,12 +13,16 @@ from torch import Tensor
 Memory = dict[str, Tensor]
 
 
-def begin(policy: Policy, batch: tuple[int, ...], team: int) -> Memory:
-    """Return the memory of teams (*batch, team) that have seen nothing."""
+def begin(
+    policy: Policy, batch: tuple[int, ...], team: int, dtype: torch.dtype = torch.float32
+) -> Memory:
+    """Return the memory of teams (*batch, team) that have seen nothing; dtype as for fly()."""
     config = policy.config
+    shape = (*batch, team, config.history, 3, config.lidar.n_rays)
     return {
         'count': torch.zeros(batch, dtype=torch.int64),  # steps since then
-        'history': torch.zeros(*batch, team, config.history, 3, config.lidar.n_rays),
+        'history': torch.zeros(shape, dtype=dtype),  # scaled, newest last
+        'first': torch.zeros(*batch, team, dtype=torch.int64),  # ray in front of the newest
         'command': torch.zeros(*batch, team, 2),
     }
 
@@ -30,7 +34,6 @@ def fly(
     memory: Memory,
     top_speed: float,
     draws: Callable[[], Tensor] | None = None,
-    dtype: torch.dtype = torch.float32,
 ) -> tuple[Tensor, Memory]:
     """
     Return commands (..., H, 2) m/s, world frame, at most top_speed [m/s]; and memory.
@@ -45,20 +48,27 @@ def fly(
     if not due.any():
         return memory['command'], memory | {'count': count + 1}
     ranges = look()
-    history = _remembered(memory, ranges, due)
+    history, first = _remembered(policy, memory, ranges, due)
     acting = (present & due[..., None]).reshape(-1)
-    frames = history.flatten(0, -4)[acting][:, :: config.decisions_apart]
+    frames = history[..., :: config.decisions_apart, :, :].flatten(0, -4)[acting]
     numbers = None if draws is None else draws().reshape(-1, 2)[acting]
     command = memory['command'].clone()
-    chosen = clip_norm(policy.act(frames, numbers, dtype), top_speed)
+    chosen = clip_norm(policy.act_on(frames, first.reshape(-1)[acting], numbers), top_speed)
     command.view(-1, 2)[acting] = chosen
-    return command, {'count': count + 1, 'history': history, 'command': command}
+    return command, {'count': count + 1, 'history': history, 'first': first, 'command': command}
 
 
-def _remembered(memory: Memory, ranges: Tensor, due: Tensor) -> Tensor:
-    """Return the history with a reading, which fills it all if it is the first."""
-    old, first = memory['history'], memory['count'] == 0
-    fresh = first_stack(ranges, old.shape[-3])
-    pushed = push_frame(old, ranges)
-    wide = (..., *(None,) * 4)
-    return torch.where(first[wide], fresh, torch.where(due[wide], pushed, old))
+def _remembered(
+    policy: Policy, memory: Memory, ranges: Tensor, due: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return history and ray in front with a reading, which fills all if it is the first."""
+    old, begins = memory['history'], memory['count'] == 0
+    newest = policy.scaled(ranges).to(old.dtype)
+    history, first = push_frame(old, newest), policy.first_ray(ranges)
+    if not due.all():
+        history = torch.where(due[(..., *(None,) * 4)], history, old)
+        first = torch.where(due[..., None], first, memory['first'])
+    if begins.any():
+        fresh = first_stack(newest, old.shape[-3])
+        history = torch.where(begins[(..., *(None,) * 4)], fresh, history)
+    return history, first

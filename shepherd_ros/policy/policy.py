@@ -92,9 +92,14 @@ class Policy(nn.Module):
         frames (n, K, 3, R) m are readings, +inf on free rays, newest last. draws (n, 2) are
         standard normal numbers for a sampled action; None: the mean. dtype is that of the work.
         """
-        if not len(frames):
-            return frames.new_zeros(0, 2)
         first = self.first_ray(frames[:, -1])
-        mean, std = self.actor(self.arranged(self.scaled(frames).to(dtype), first))
+        return self.act_on(self.scaled(frames).to(dtype), first, draws)
+
+    @torch.no_grad()
+    def act_on(self, scaled: Tensor, first: Tensor, draws: Tensor | None = None) -> Tensor:
+        """Return act() for frames that scaled() gave, (n, K, 3, R), with their ray in front."""
+        if not len(scaled):
+            return torch.zeros(0, 2)
+        mean, std = self.actor(self.arranged(scaled, first))
         action = mean if draws is None else mean + std * draws
-        return turned(action, first, frames.shape[-1])
+        return turned(action, first, scaled.shape[-1])
