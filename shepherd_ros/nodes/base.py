@@ -11,11 +11,11 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from shepherd_ros import __version__
+from shepherd_ros.nodes.bus import Bus, LocalPublisher, Output
 from shepherd_ros.nodes.parameters import declare
 from shepherd_ros.topics import contract
 
@@ -44,9 +44,10 @@ def quality(topic: str, subscribe: bool = False) -> QoSProfile:
 class ShepherdNode(Node):
     """A node with topics from the contract and a report on /diagnostics every second."""
 
-    def __init__(self, name: str, **kwargs: Any) -> None:
-        """Create the node; keyword arguments are those of rclpy's Node."""
+    def __init__(self, name: str, *, bus: Bus | None = None, **kwargs: Any) -> None:
+        """Create the node; nodes of a process may share a bus. The rest is for rclpy's Node."""
         super().__init__(name, **kwargs)
+        self.bus = bus
         self.finished = False  # a node sets this to end its process
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.frame_id: str = self.option('frame_id', 'map', 'name of the world frame')
@@ -61,11 +62,12 @@ class ShepherdNode(Node):
         """Declare one read-only parameter and return its value."""
         return declare(self, name, default, {'doc': doc, **limits})
 
-    def advertise(self, topic: str, shepherd: int | None = None, kind: str = '') -> Publisher:
+    def advertise(self, topic: str, shepherd: int | None = None, kind: str = '') -> Output:
         """Return a publisher of a topic of the contract; kind is its alternative type."""
         row = contract()[0][topic]
         name = topic.format(h=shepherd)
-        return self.create_publisher(message_type(kind or row.type), name, quality(topic))
+        publisher = self.create_publisher(message_type(kind or row.type), name, quality(topic))
+        return publisher if self.bus is None else LocalPublisher(self, publisher, self.bus)
 
     def listen(
         self,
@@ -80,9 +82,24 @@ class ShepherdNode(Node):
         row = contract()[0][topic]
         name = topic.format(h=shepherd)
         profile = quality(topic, subscribe=True)
-        return self.create_subscription(
+        subscription = self.create_subscription(
             message_type(kind or row.type), name, callback, profile, raw=raw
         )
+        if raw and self.bus is not None:
+            self.bus.hear(subscription)
+        return subscription
+
+    def destroy_publisher(self, publisher: Output) -> bool:
+        """Destroy a publisher that advertise() gave."""
+        if isinstance(publisher, LocalPublisher):
+            publisher = publisher.publisher
+        return bool(super().destroy_publisher(publisher))
+
+    def destroy_subscription(self, subscription: Subscription) -> bool:
+        """Destroy a subscription that listen() gave."""
+        if self.bus is not None:
+            self.bus.forget(subscription)
+        return bool(super().destroy_subscription(subscription))
 
     def timer(self, period: float, callback: Callable[[], None]) -> Timer:
         """Return a timer in wall time [s], whatever the simulated clock does."""

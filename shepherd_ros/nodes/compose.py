@@ -8,6 +8,7 @@ from typing import Any
 
 from shepherd_ros.controllers import CONTROLLERS
 from shepherd_ros.nodes.base import ShepherdNode
+from shepherd_ros.nodes.bus import Bus
 from shepherd_ros.nodes.flock_node import FlockSim
 from shepherd_ros.nodes.heuristic_node import HeuristicNode
 from shepherd_ros.nodes.lidar_node import LidarNode
@@ -28,12 +29,14 @@ def compose(processes: Sequence[Process], **kwargs: Any) -> list[ShepherdNode]:
     """
     Return the nodes of a stack, to be spun together with nodes.runtime.spin().
 
+    What they say to each other alone does not go through DDS; other processes hear all they want.
     Keyword arguments are those of rclpy's Node, such as a context. The executor is that of the
     first node.
     """
+    bus = Bus()
     return [
         NODES[process.executable](
-            cli_args=process.arguments(), use_global_arguments=False, **kwargs
+            cli_args=process.arguments(), use_global_arguments=False, bus=bus, **kwargs
         )
         for process in processes
     ]

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.publisher import Publisher
 from shepherd_ros.bags.encode import encode_command, encode_twist
 from shepherd_ros.controllers import controller_type
 from shepherd_ros.controllers.base import Controller, Memory
 from shepherd_ros.episode import Episode
 from shepherd_ros.nodes.base import OK, ShepherdNode, WARN
+from shepherd_ros.nodes.bus import Output
 from shepherd_ros.nodes.listener import Listener
 from shepherd_ros.nodes.parameters import declare_config
 from shepherd_ros.nodes.runtime import run
@@ -45,7 +45,7 @@ class HeuristicNode(ShepherdNode):
         self.controller: Controller | None = None
         self.memory: Memory = {}
         self.last: tuple[int, torch.Tensor] | None = None
-        self.outputs: dict[int, Publisher] = {}
+        self.outputs: dict[int, Output] = {}
         self.listener = Listener(self, self.on_state, self.on_episode)
 
     def on_episode(self, episode: Episode) -> None:

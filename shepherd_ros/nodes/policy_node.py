@@ -8,12 +8,12 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
-from rclpy.publisher import Publisher
 from shepherd_ros.bags.encode import encode_command, encode_twist
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers.policy import action_draws, LearnedConfig, require_same_world
 from shepherd_ros.episode import Episode
 from shepherd_ros.nodes.base import ERROR, OK, ShepherdNode, WARN
+from shepherd_ros.nodes.bus import Output
 from shepherd_ros.nodes.parameters import declare_config
 from shepherd_ros.nodes.runtime import run
 from shepherd_ros.nodes.scan_listener import ScanListener
@@ -62,7 +62,7 @@ class PolicyNode(ShepherdNode):
         self.stale = False
         self.answers = 0
         self.latency: deque[float] = deque(maxlen=TIMED)  # [s]
-        self.outputs: dict[int, Publisher] = {}
+        self.outputs: dict[int, Output] = {}
         self.scans = ScanListener(self, self.policy.config.lidar, self.on_scans)
         self.listen('episode', self._on_episode)
         self.timer(0.1, self._watch)

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import rclpy
 from rclpy.duration import Duration
-from rclpy.publisher import Publisher
 from shepherd_ros.bags.contract import known
 from shepherd_ros.bags.encode import encode_clock, encode_goal, encode_text
 from shepherd_ros.bags.episodes import Episode, Frame
 from shepherd_ros.nodes.base import ShepherdNode
+from shepherd_ros.nodes.bus import Output
 from shepherd_ros.nodes.messages import decode_command
 from shepherd_ros.nodes.runtime import make_executor
 
@@ -30,7 +30,7 @@ class Questioner(ShepherdNode):
     def __init__(self, **kwargs: Any) -> None:
         """Create the node; topics come with the first episode."""
         super().__init__('questioner', **kwargs)
-        self.outputs: dict[str, Publisher] = {}
+        self.outputs: dict[str, Output] = {}
         self.inputs: list[Any] = []
         self.hearing = make_executor('single')
         self.hearing.add_node(self)

@@ -41,11 +41,18 @@ def spin(nodes: Sequence[ShepherdNode], until: Callable[[], bool] = lambda: Fals
     executor = make_executor(nodes[0].executor_kind, context)
     for node in nodes:
         executor.add_node(node)
+    buses = {id(node.bus): node.bus for node in nodes if node.bus is not None}.values()
+    for bus in buses:
+        bus.spun(executor.create_task)
     try:
         # a time-out, as the events executor of Jazzy hangs without one
         while context.ok() and not until():
             executor.spin_once(timeout_sec=LOOK)
+            for bus in buses:
+                bus.check()
     finally:
+        for bus in buses:
+            bus.spun(None)
         for node in nodes:
             executor.remove_node(node)
         executor.shutdown(timeout_sec=1.0)
