@@ -12,6 +12,7 @@ NODES = {
     'flock_sim': 'flock_node:main',
     'lidar': 'lidar_node:main',
     'metrics': 'metrics_node:main',
+    'herd': 'herd_node:main',
     'player': 'player_node:main',
     'recorder': 'recorder_node:main',
     'strombom': 'heuristic_node:strombom',

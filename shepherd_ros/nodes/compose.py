@@ -36,7 +36,7 @@ def compose(processes: Sequence[Process], **kwargs: Any) -> list[ShepherdNode]:
     bus = Bus()
     return [
         NODES[process.executable](
-            cli_args=process.arguments(), use_global_arguments=False, bus=bus, **kwargs
+            cli_args=process.arguments(), bus=bus, **({'use_global_arguments': False} | kwargs)
         )
         for process in processes
     ]

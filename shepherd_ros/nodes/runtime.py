@@ -83,17 +83,18 @@ def hide() -> None:
     set_logger_level('', LoggingSeverity.FATAL)
 
 
-def run(make_node: Callable[..., ShepherdNode], name: str, doc: str, options: Any = None) -> int:
+def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None) -> int:
     """
-    Run one node as a process; return its exit code, that of node.end() after SIGINT or SIGTERM.
+    Run a node as a process; return its exit code, that of node.end() after SIGINT or SIGTERM.
 
-    options is a dataclass that the words of the command line fill; the node is made with it.
+    options is a dataclass that the words of the command line fill; the node is made with it. Where
+    several nodes are made, they run together, and the first says when and how they end.
     """
     # rclpy's own handlers would end the context in the midst of a callback that publishes
     came: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, frame: came.append(number))
-    node = None
+    nodes: list[ShepherdNode] = []
     try:
         words = remove_ros_args(sys.argv)[1:]
         if options is not None:
@@ -107,13 +108,15 @@ def run(make_node: Callable[..., ShepherdNode], name: str, doc: str, options: An
         if words:
             hide()
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        node = own = make_node()
+        made = make_node()
+        nodes = made if isinstance(made, list) else [made]
         if words:
-            show_help(node, doc)
+            show_help(nodes[0], doc)
         else:
-            warn_of_unknown(node)
-            spin([node], until=lambda: own.finished or bool(came))
-            return node.end()
+            for node in nodes:
+                warn_of_unknown(node)
+            spin(nodes, until=lambda: nodes[0].finished or bool(came))
+            return nodes[0].end()
     except (ConfigError, ParameterException) as error:
         print(f'{name}: {error}', file=sys.stderr)
         return USER_MISTAKE
@@ -124,7 +127,7 @@ def run(make_node: Callable[..., ShepherdNode], name: str, doc: str, options: An
         print(f'{name}: {mistake}', file=sys.stderr)
         return USER_MISTAKE
     finally:
-        if node is not None:
+        for node in nodes:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0

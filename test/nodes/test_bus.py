@@ -177,3 +177,32 @@ def test_a_callback_on_the_bus_that_fails_ends_the_spin(graph: Graph, executor: 
         assert bus.carried == 1
         with pytest.raises(ArithmeticError, match='of a callback'):
             run([one], lambda: False)
+
+
+def test_herd_runs_a_stack_in_one_process_and_ends_by_itself(graph: Graph) -> None:
+    words = ['--controller', 'pierson', '--sheep', '5', '--steps', '10', '--shepherds', '2']
+    herd = graph.start_words('herd', [*words, '--episodes', '1', '--ros-args', '-r', '__ns:=/far'])
+    track = graph.track('/far')
+    assert herd.wait() == 0
+    assert '1 episodes done' in herd.text
+    world = WorldConfig(n_sheep=5, n_shepherds=2, episode_steps=10)
+    states = rollout('pierson', EnvConfig(world=world))[0]
+    graph.idle(0.2)
+    first = len(states) - len(track.stamps)  # the probe may have come later than the start
+    assert len(track.stamps) >= 1
+    assert_same_states(track, states[first:])
+
+
+@pytest.mark.parametrize(
+    ('words', 'said'),
+    [
+        (['--controller', 'sheepdog'], "'sheepdog': expected one of drover"),
+        (['--shepherds', '0'], '--shepherds is 0: expected at least 1'),
+        (['--sheep', '-1'], 'n_sheep is -1'),
+    ],
+)
+def test_herd_names_what_is_wrong(graph: Graph, words: list[str], said: str) -> None:
+    herd = graph.start_words('herd', words)
+    assert herd.wait() == 2
+    assert said in herd.text
+    assert 'Traceback' not in herd.text

@@ -1,0 +1,79 @@
+"""A whole stack in one process: many times a robot's pace, and still open to every other node."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from shepherd_ros.config import ConfigError
+from shepherd_ros.nodes.base import ShepherdNode
+from shepherd_ros.nodes.compose import compose, NODES
+from shepherd_ros.nodes.runtime import run
+from shepherd_ros.stack import herding_stack
+import torch
+
+PARTS = ('flock_sim', 'lidar', 'metrics')  # what is no controller
+
+
+@dataclass(frozen=True)
+class HerdOptions:
+    """
+    Run flock_sim, lidars, metrics and a controller as one process.
+
+    The nodes are those of separate processes, with their names, topics and parameters; what only
+    they hear does not go through DDS. Their own parameters come from --ros-args --params-file.
+    """
+
+    controller: str = 'policy'
+    """Node that commands: policy, strombom, pierson, drover, idle or random."""
+    sheep: int = 100
+    """Sheep in the flock."""
+    shepherds: int = 3
+    """Shepherds, each with a lidar node."""
+    flock: str = 'strombom'
+    """Flock model: strombom or reynolds."""
+    preset: str = 'default'
+    """Named setting of time step and flock."""
+    mode: Literal['lockstep', 'realtime'] = 'lockstep'
+    """How the world advances."""
+    rate: float = 0.0
+    """Realtime: steps per second of wall time; 0: 1/dt."""
+    seed: int = 0
+    """Seed of the first episode."""
+    steps: int = 1000
+    """Steps of an episode."""
+    episodes: int = 0
+    """Episodes to run; 0: without end."""
+    wait_for_scans: bool = True
+    """Lockstep: wait until every shepherd has been scanned, so that no scan is ever missed."""
+
+
+def herd(options: HerdOptions) -> list[ShepherdNode]:
+    """Return the nodes, flock_sim first."""
+    controllers = sorted(NODES.keys() - set(PARTS))
+    if options.controller not in controllers:
+        raise ConfigError(
+            f'--controller is {options.controller!r}: expected one of {", ".join(controllers)}'
+        )
+    if options.shepherds < 1:
+        raise ConfigError(f'--shepherds is {options.shepherds}: expected at least 1')
+    torch.set_num_threads(1)
+    stack = herding_stack(
+        options.controller,
+        options.shepherds,
+        n_sheep=options.sheep,
+        flock=options.flock,
+        preset=options.preset,
+        mode=options.mode,
+        rate=options.rate,
+        seed=options.seed,
+        episode_steps=options.steps,
+        episodes=options.episodes,
+        wait_for_scans=options.wait_for_scans,
+    )
+    return compose(stack, use_global_arguments=True)
+
+
+def main() -> int:
+    """Run a whole stack as one process."""
+    return run(herd, 'herd', main.__doc__ or '', HerdOptions)
