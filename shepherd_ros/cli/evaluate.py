@@ -34,8 +34,12 @@ class Evaluate:
     """Episodes of each cell; 100 if not given, 20 for the large sweeps beyond the paper."""
     workers: int = 1
     """Processes that run at the same time."""
-    shard: str = '1/1'
-    """Part i/n of the cells, for n machines; copy their folders together afterwards."""
+    shard: str = ''
+    """
+    Part i/n of the cells, for n machines; copy their folders together afterwards.
+
+    Not needed where torchrun has started this: each of its processes then does its part.
+    """
     quick: bool = False
     """A few cells with 6 short episodes each, to see that all works."""
     seed: int = 0
@@ -60,6 +64,7 @@ class Evaluate:
         from shepherd_ros.evaluation.campaign import is_done, plan, run_tasks, shard_of
         from shepherd_ros.evaluation.cells import Cell
         from shepherd_ros.evaluation.experiments import experiments
+        from shepherd_ros.evaluation.ranks import rank, torchrun_shard, wait_for_all
 
         if self.workers < 1:
             raise UserError(f'--workers is {self.workers}: expected at least 1')
@@ -69,7 +74,7 @@ class Evaluate:
             for e in chosen
             for task in plan(e.settings, e.controllers, self.seed, e.episodes)
         }
-        mine = shard_of(list(tasks.values()), self.shard)
+        mine = shard_of(list(tasks.values()), self.shard or torchrun_shard())
         try:
             self.out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -77,7 +82,8 @@ class Evaluate:
         missing = [task for task in mine if not is_done(self.out, task)]
         columns = Progress.get_default_columns()[:3]
         ended: list[Cell] = []
-        with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn()) as progress:
+        columns = (*columns, TimeElapsedColumn(), TimeRemainingColumn())
+        with Progress(*columns, disable=rank() > 0) as progress:
             total = sum(task.cell.cost() for task in missing)
             left = progress.add_task('cells', total=total)
             print(
@@ -92,7 +98,8 @@ class Evaluate:
                 progress.update(left, advance=cell.cost(), description=text)
 
             run_tasks(self.out, missing, self.workers, commit(), done)
-        if len(mine) == len(tasks):
+        wait_for_all()
+        if rank() == 0 and all(is_done(self.out, task) for task in tasks.values()):
             self.write_tables(chosen)
         return 0
 

@@ -5,6 +5,8 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 import json
 from pathlib import Path
+import subprocess
+import sys
 
 import pytest
 from shepherd_ros import __version__
@@ -256,6 +258,19 @@ def test_shards_on_two_machines_make_the_rows_of_one(tmp_path: Path) -> None:
         assert main([*words, '--shard', f'{i}/2', '--out', str(tmp_path / 'two')]) == 0
     one, two = (read_rows([tmp_path / name]).table for name in ('one', 'two'))
     assert one.equals(two)
+
+
+def test_two_ranks_of_torchrun_make_the_rows_of_one_process(tmp_path: Path) -> None:
+    words = ['evaluate', '6', *WORDS, '--controllers', 'pierson', '--out']
+    assert main([*words, str(tmp_path / 'one')]) == 0
+    beside = Path(sys.executable).parent
+    launch = [beside / 'torchrun', '--standalone', '--nproc-per-node', '2', '--no-python']
+    command = [*launch, beside / 'shepherd', *words, tmp_path / 'two']
+    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    one, two = (read_rows([tmp_path / name]).table for name in ('one', 'two'))
+    assert one.equals(two)
+    assert done.stdout.count('fig6.md') == 1, 'the table is written once, when all is there'
 
 
 def test_cells_run_in_processes_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
