@@ -37,6 +37,7 @@ class Judgement:
     policy: str  # full name; empty where RL does not matter
     findings: tuple[Finding, ...]
     until_completion: tuple[Finding | None, ...]  # with paths counted until then; None: no path
+    counts: bool = True  # who stands for RL was trained as in the paper: PPO, on this flock alone
 
     @property
     def verdict(self) -> str:
@@ -54,6 +55,11 @@ def trained_on(policy: str) -> set[str]:
     task = training_of(policy).get('task')
     flock = task.get('flock') if isinstance(task, dict) else None
     return {'strombom', 'reynolds'} if flock == 'both' else {str(flock)}
+
+
+def as_the_paper(policy: str, flock: str) -> bool:
+    """Return whether a policy was trained as the paper's RL for a flock model; true for none."""
+    return not policy or (has_critic(policy) and trained_on(policy) == {flock})
 
 
 def judge_samples(samples: Samples) -> list[Judgement]:
@@ -89,6 +95,7 @@ def _judge_claim(claim: Claim, samples: Samples, policy: str) -> Judgement:
         (policy or 'none') if with_rl else '',
         tuple(findings),
         tuple(others),
+        not with_rl or as_the_paper(policy, samples.settings[0].flock),
     )
 
 
@@ -97,8 +104,10 @@ def _plain(text: str) -> Clause:
     return Clause(text, lambda sweep: np.zeros(1))
 
 
-def _single(experiment: str, statement: str, policy: str, *findings: Finding) -> Judgement:
-    return Judgement(experiment, statement, policy, findings, (None,) * len(findings))
+def _single(
+    experiment: str, statement: str, policy: str, *findings: Finding, counts: bool = True
+) -> Judgement:
+    return Judgement(experiment, statement, policy, findings, (None,) * len(findings), counts)
 
 
 def judge_curves(curves: Sequence[Curve]) -> list[Judgement]:
@@ -107,7 +116,8 @@ def judge_curves(curves: Sequence[Curve]) -> list[Judgement]:
     for curve in curves:
         result, reason = judge_curve(curve)
         finding = Finding(_plain(curve.name), math.nan, math.nan, math.nan, result, reason)
-        found.append(_single('fig3', statement, curve.name, finding))
+        by_reward = not curve.judged  # other trainings know no reward
+        found.append(_single('fig3', statement, curve.name, finding, counts=by_reward))
     if found:
         return found
     missing = Finding(_plain('curve'), math.nan, math.nan, math.nan, UNDECIDED, 'no curves')

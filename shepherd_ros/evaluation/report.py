@@ -45,8 +45,9 @@ of it does, and is *undecided* otherwise. A statement agrees if all its numbers 
 disagrees if one of them does.
 
 **RL** is a policy of this project, not the authors': the table below says how each was
-trained. Where that is no reinforcement learning, or used what the paper keeps for the
-evaluation (other sizes, noise, rho_a), the comparison is not like for like. Paths are counted
+trained. Only one that PPO trained with the flock model of the figure, as in the paper, counts in
+the summary; what the statements come to with other policies in its place is folded up below
+each figure. Paths are counted
 over the whole episode, as the paper defines them; the last column counts them until the flock
 is home. The paper leaves the time step, the range of repulsion and parts of the baselines
 open; these rows use preset
@@ -78,7 +79,9 @@ def page(
     for name, title in TITLES.items():
         mine = [j for j in judgements if j.experiment == name]
         if mine or name in pictures:
-            lines += ['', f'## {title}', '', *picture(name, title, pictures), *verdicts(mine)]
+            lines += ['', f'## {title}', '', *picture(name, title, pictures)]
+            lines += verdicts([j for j in mine if j.counts])
+            lines += folded(verdicts([j for j in mine if not j.counts]))
     beyond = [name for name in samples if name not in TITLES]
     if beyond:
         lines += ['', '## Beyond the paper', '', 'Numbers with intervals: `summary.csv`.']
@@ -125,7 +128,7 @@ def summary(judgements: Sequence[Judgement]) -> list[str]:
     lines = [f'| | {" | ".join(VERDICTS)} |', '|---|--:|--:|--:|']
     total: Counter[str] = Counter()
     for name, title in TITLES.items():
-        counts = Counter(j.verdict for j in judgements if j.experiment == name)
+        counts = Counter(j.verdict for j in judgements if j.experiment == name and j.counts)
         total += counts
         if counts:
             cells = ' | '.join(str(counts[v]) for v in VERDICTS)
@@ -169,6 +172,14 @@ def verdicts(judgements: Sequence[Judgement]) -> list[str]:
             lines += claim_lines(judgement)
         lines.append('')
     return lines
+
+
+def folded(lines: list[str]) -> list[str]:
+    """Return lines that a reader has to unfold, if there are any."""
+    if not lines:
+        return []
+    head = '<details><summary>Other policies in the place of RL</summary>'
+    return [head, '', *lines, '</details>', '']
 
 
 def claim_lines(judgement: Judgement) -> list[str]:

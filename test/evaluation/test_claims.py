@@ -29,6 +29,7 @@ from shepherd_ros.evaluation.claims import (
 from shepherd_ros.evaluation.curves import Curve, find_curves, judge_curve
 from shepherd_ros.evaluation.experiments import EXPERIMENTS
 from shepherd_ros.evaluation.judgement import (
+    as_the_paper,
     has_critic,
     judge_curves,
     judge_samples,
@@ -253,6 +254,14 @@ def test_a_policy_that_was_not_trained_on_reynolds_gets_no_verdict_there() -> No
     assert 'not trained with the Reynolds' in mine[0].findings[0].reason
     assert mine[0].findings[0].value == pytest.approx(0.99)
     assert next(j for j in judged if j.statement.startswith('Pierson brings')).verdict == AGREES
+
+
+def test_only_a_policy_trained_as_the_papers_counts() -> None:
+    assert as_the_paper('', 'strombom')
+    assert as_the_paper('policy:strombom', 'strombom')
+    assert not as_the_paper('policy:strombom', 'reynolds')
+    assert not as_the_paper('policy:reynolds', 'strombom')
+    assert not as_the_paper('policy:imitation', 'strombom'), 'no reinforcement learning'
 
 
 @pytest.mark.parametrize(
