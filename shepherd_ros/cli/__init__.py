@@ -50,15 +50,14 @@ def main(arguments: list[str] | None = None) -> int:
         'checkpoint': CheckpointVerbs,
     }
     words = sys.argv[1:] if arguments is None else arguments
-    prog, text = 'shepherd', 'Herd with robots.'
     try:
         if words[:1] == ['train']:  # its arguments are made with torch, which takes a second
-            from shepherd_ros.cli.train import verbs as training
+            from shepherd_ros.cli.train import train
 
-            verbs = dict(training())
-            words = words[1:]
-            prog, text = 'shepherd train', Train.__doc__ or ''
-        verb = tyro.extras.subcommand_cli_from_dict(verbs, prog=prog, description=text, args=words)
+            return train(words[1:], Train.__doc__ or '')
+        verb = tyro.extras.subcommand_cli_from_dict(
+            verbs, prog='shepherd', description='Herd with robots.', args=words
+        )
         return int(verb.run())
     except (UserError, ConfigError) as error:
         print(f'shepherd: {error}', file=sys.stderr)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-import subprocess
 from typing import Annotated, TYPE_CHECKING
 
 from rich.progress import Progress, TimeElapsedColumn, TimeRemainingColumn
 from shepherd_ros.cli import UserError
+from shepherd_ros.cli.code import commit
 import tyro
 
 if TYPE_CHECKING:
@@ -159,14 +159,3 @@ def _with_policies(names: tuple[str, ...], policies: tuple[str, ...]) -> tuple[s
     if 'policy' not in names or not policies:
         return names
     return (*policies, *(name for name in names if name != 'policy'))
-
-
-def commit() -> str:
-    """Return the commit of the checkout that runs, + if it was changed; empty without git."""
-    here = Path(__file__).parent
-    words = ['git', 'describe', '--always', '--dirty=+', '--exclude=*']
-    try:
-        done = subprocess.run(words, cwd=here, capture_output=True, text=True, check=True)
-    except (OSError, subprocess.CalledProcessError):
-        return ''
-    return done.stdout.strip()

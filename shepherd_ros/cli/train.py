@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, make_dataclass, replace
 from pathlib import Path
 import shlex
-import sys
 from typing import Annotated, Any
 
 from shepherd_ros import __version__
 from shepherd_ros.cli import UserError
 from shepherd_ros.cli.arguments import arguments_of, configured
+from shepherd_ros.cli.code import commit
 from shepherd_ros.config import Config
 from shepherd_ros.learning.dagger import DaggerConfig, train_dagger
 from shepherd_ros.learning.memory import keep_memory
@@ -64,7 +64,7 @@ def verb(
     """Return the class of a verb, with the arguments of its configuration."""
 
     def run(arguments: Any) -> int:
-        return _run(arguments, kind, policy, train)
+        return _run(arguments, kind, train)
 
     rows: list[Any] = []
     if bags:
@@ -81,18 +81,31 @@ def verb(
     return make_dataclass(kind.__name__, rows, bases=(Common,), namespace=names, kw_only=True)
 
 
-def verbs() -> dict[str, type[Any]]:
-    """Return the verbs of training by name."""
+def verbs(start: PolicyConfig | None = None) -> dict[str, Callable[..., Any]]:
+    """Return the verbs of training by name; start is that of the checkpoint they begin with."""
     return {
-        'ppo': verb(PPORunConfig, FROM_SCRATCH, train_ppo),
-        'dagger': verb(DaggerConfig, IMITATION, train_dagger),
-        'bc': verb(BCConfig, IMITATION, train_bc, bags=True),
+        'ppo': verb(PPORunConfig, start or FROM_SCRATCH, train_ppo),
+        'dagger': verb(DaggerConfig, start or IMITATION, train_dagger),
+        'bc': verb(BCConfig, start or IMITATION, train_bc, bags=True),
     }
 
 
-def _run(
-    arguments: Any, kind: type[Config], default: PolicyConfig, train: Callable[..., Any]
-) -> int:
+def train(words: list[str], doc: str) -> int:
+    """Run the verb that words of a command line name; return the exit code."""
+
+    def parsed(start: PolicyConfig | None = None) -> Any:
+        return tyro.extras.subcommand_cli_from_dict(
+            verbs(start), prog='shepherd train', description=doc, args=words
+        )
+
+    chosen = parsed()
+    if chosen.start:  # what is not said about the policy is as in the checkpoint
+        chosen = parsed(load_policy(chosen.start).config)
+    chosen.command = shlex.join(['shepherd', 'train', *words])
+    return int(chosen.run())
+
+
+def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
     """Train; return the exit code."""
     if arguments.threads < 1:
         raise UserError(f'--threads is {arguments.threads}: expected at least 1')
@@ -107,9 +120,10 @@ def _run(
             if getattr(config, name) == getattr(usual, name):
                 config = replace(config, **{name: value})
     torch.manual_seed(arguments.run_.seed)
-    policy = _policy(arguments, default)
+    policy = _policy(arguments)
     record = {
-        'command': shlex.join(['shepherd', *sys.argv[1:]]),
+        'command': arguments.command,
+        'code': commit(),
         'version': __version__,
         'torch': torch.__version__,
         'config': {
@@ -127,41 +141,18 @@ def _run(
     return 0
 
 
-def _policy(arguments: Any, default: PolicyConfig) -> Policy:
-    """Return the policy to train: new, or that of a checkpoint with what was asked changed."""
-    wanted = configured(PolicyConfig, arguments.policy)
-    if not arguments.start:
-        return Policy(wanted)
-    start = load_policy(arguments.start)
-    asked = changes(default.to_dict(), wanted.to_dict())
-    policy = Policy(PolicyConfig.from_dict(merged(start.config.to_dict(), asked)))
-    try:
-        policy.load_state_dict(start.state_dict())
-    except RuntimeError as error:
-        raise UserError(
-            f'--start {arguments.start} does not fit: {error}; leave out the --policy options '
-            'that change the form of the network'
-        ) from error
+def _policy(arguments: Any) -> Policy:
+    """Return the policy to train: new, or with the weights of a checkpoint."""
+    policy = Policy(configured(PolicyConfig, arguments.policy))
+    if arguments.start:
+        try:
+            policy.load_state_dict(load_policy(arguments.start).state_dict())
+        except RuntimeError as error:
+            raise UserError(
+                f'--start {arguments.start} does not fit: {error}; leave out the --policy '
+                'options that change the form of the network'
+            ) from error
     return policy
-
-
-def changes(default: dict[str, Any], wanted: dict[str, Any]) -> dict[str, Any]:
-    """Return what of a nested dictionary is not as by default."""
-    found = {}
-    for name, value in wanted.items():
-        if isinstance(value, dict):
-            found[name] = changes(default[name], value)
-        elif value != default[name]:
-            found[name] = value
-    return found
-
-
-def merged(base: dict[str, Any], changed: dict[str, Any]) -> dict[str, Any]:
-    """Return a nested dictionary with some values changed."""
-    return base | {
-        name: merged(base[name], value) if isinstance(value, dict) else value
-        for name, value in changed.items()
-    }
 
 
 def show(line: dict[str, Any]) -> None:
