@@ -56,6 +56,8 @@ class Common:
     """About ten minutes instead of an hour, for a first result."""
     threads: int = 1
     """Threads of torch."""
+    device: str = 'cpu'
+    """Where PPO keeps worlds and networks: cpu, or cuda."""
 
 
 def verb(
@@ -111,6 +113,7 @@ def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
         raise UserError(f'--threads is {arguments.threads}: expected at least 1')
     if kind is BCConfig and not arguments.bags:
         raise UserError('no bags are given: expected bags or folders of bags, as arguments')
+    check_device(arguments.device, kind)
     torch.set_num_threads(arguments.threads)
     keep_memory()
     config = configured(kind, arguments.run_)
@@ -120,7 +123,7 @@ def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
             if getattr(config, name) == getattr(usual, name):
                 config = replace(config, **{name: value})
     torch.manual_seed(arguments.run_.seed)
-    policy = _policy(arguments)
+    policy = _policy(arguments).to(arguments.device)
     record = {
         'command': arguments.command,
         'code': commit(),
@@ -139,6 +142,19 @@ def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
         print(result.text())
     print(f'the best policy is in {run.best}')
     return 0
+
+
+def check_device(device: str, kind: type[Config]) -> None:
+    """Raise UserError for a device that is not there, or that a training cannot use."""
+    if device not in ('cpu', 'cuda'):
+        raise UserError(f'--device is {device!r}: expected cpu or cuda')
+    if device == 'cuda' and kind is not PPORunConfig:
+        raise UserError('--device is cuda: expected cpu, only PPO trains on a GPU')
+    if device == 'cuda' and not torch.cuda.is_available():
+        raise UserError(
+            '--device is cuda: expected cpu, as torch finds no GPU here; on a machine with one, '
+            'install a torch that was built for it'
+        )
 
 
 def _policy(arguments: Any) -> Policy:

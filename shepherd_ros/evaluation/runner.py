@@ -16,6 +16,7 @@ def run_episodes(
     seed: int,
     episodes: int,
     on_step: Callable[[int], None] = lambda step: None,
+    device: str = 'cpu',
 ) -> dict[str, Tensor]:
     """
     Return the metrics of the episodes with seeds seed .. seed + episodes - 1, (episodes,) each.
@@ -24,18 +25,18 @@ def run_episodes(
 
     on_step(step) is called after each step of all worlds.
     """
-    env = ShepherdEnv(config, episodes, lidar=False)
+    env = ShepherdEnv(config, episodes, lidar=False, device=device)
     env.reset(seed)
     memory = controller.begin(env.perceived)
     result: dict[str, Tensor] = {}
-    total = torch.zeros(episodes)
+    total = torch.zeros(episodes, device=device)
     for step in range(config.world.episode_steps):
         command, memory = controller.act(env.perceived, memory)
         _, reward, _, _, info = env.step(command)
         total += reward
         result = info.get('final_metrics', result)
         on_step(step + 1)
-    return result | {'return': total}
+    return {name: values.cpu() for name, values in (result | {'return': total}).items()}
 
 
 def mean_and_interval(values: Tensor) -> tuple[float, float]:

@@ -43,7 +43,8 @@ def judge(
         )
         controller = LearnedController(LearnedConfig(), world, policy, dtype)
         count = episodes // len(flocks)
-        results.append(run_episodes(EnvConfig(world=world), controller, FIRST_SEED, count))
+        config, device = EnvConfig(world=world), str(policy.device)
+        results.append(run_episodes(config, controller, FIRST_SEED, count, device=device))
     means = {
         name: float(torch.cat([result[name] for result in results]).mean()) for name in COLUMNS
     }

@@ -82,7 +82,8 @@ class Learner:
 
     def averaged(self) -> Policy:
         """Return a policy of its own with the running mean of the actor's weights."""
-        policy = Policy(self.policy.config)
+        with self.policy.device:
+            policy = Policy(self.policy.config)
         policy.actor.load_state_dict(self.average.module.state_dict())
         policy.critic.load_state_dict(self.policy.critic.state_dict())
         return policy
@@ -103,7 +104,8 @@ class Learner:
         seen: dict[str, list[float]] = {'actor_loss': [], 'critic_loss': [], 'kl': [], 'std': []}
         acting = actor
         for _ in range(config.epochs):
-            order = torch.randperm(size, generator=generator)
+            order = torch.randperm(size, generator=generator, device=generator.device)
+            order = order.to(batch.value.device)
             for chosen in order.split(config.minibatch):
                 if len(chosen) < config.minibatch // 2 and size > config.minibatch:
                     continue  # a rest is a poor estimate

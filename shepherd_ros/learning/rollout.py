@@ -20,6 +20,7 @@ from shepherd_ros.sim.transition import step
 import torch
 from torch import Tensor
 
+CPU = torch.device('cpu')
 SEEDS_APART = 1_000_003  # from an episode of a group to its next
 
 
@@ -36,9 +37,12 @@ def team_reward(state: WorldState, config: EnvConfig) -> Tensor:
 class Group:
     """Worlds of one configuration, which begin and end their episodes together."""
 
-    def __init__(self, task: TaskConfig, index: int, n_worlds: int, seed: int) -> None:
+    def __init__(
+        self, task: TaskConfig, index: int, n_worlds: int, seed: int, device: torch.device = CPU
+    ) -> None:
         """Make the group; begin() starts its first episode."""
         self.task, self.index, self.n_worlds, self.seed = task, index, n_worlds, seed
+        self.device = device
         self.episode = 0
 
     config: EnvConfig
@@ -49,7 +53,9 @@ class Group:
         """Start an episode of so many steps, in a world that is drawn from the task."""
         seed = self.seed + SEEDS_APART * self.episode + 1000 * self.index
         self.config = draw_environment(self.task, seed)
-        self.state = spawn(self.config.world, seed + torch.arange(self.n_worlds))
+        self.state = spawn(
+            self.config.world, seed + torch.arange(self.n_worlds, device=self.device)
+        )
         self.left, self.episode = steps, self.episode + 1
 
     def state_dict(self) -> dict[str, Any]:
@@ -61,7 +67,8 @@ class Group:
         """Go on from what state_dict() gave."""
         self.episode = kept['episode'] - 1
         self.begin(kept['left'])
-        self.state = WorldState(**kept['state'])
+        kept_state = kept['state'].items()
+        self.state = WorldState(**{name: t.to(self.device) for name, t in kept_state})
 
     def look(self, policy: Policy) -> Tensor:
         """Return what the lidars read now, (B, H, 3, R) m."""
@@ -69,7 +76,7 @@ class Group:
 
     def advance(self, command: Tensor, repeat: int, reward: Reward) -> Tensor:
         """Hold a command (B, H, 2) m/s for some steps; return the sum of the rewards, (B, H)."""
-        total = torch.zeros(command.shape[:-1])
+        total = command.new_zeros(command.shape[:-1])
         for _ in range(repeat):
             self.state = step(self.state, command, self.config.world)
             total += reward(self.state, self.config)
@@ -115,20 +122,26 @@ class Rollout:
         dtype: torch.dtype,
         reward: Reward = team_reward,
     ) -> None:
-        """Start groups x worlds worlds; collect() makes that many decisions in each."""
+        """
+        Start groups x worlds worlds; collect() makes that many decisions in each.
+
+        All is where the policy is.
+        """
+        self.device = device = policy.device
         self.reward = reward
         repeat = policy.config.repeat
         self.policy, self.dtype, self.decisions = policy, dtype, decisions
-        self.generator = torch.Generator().manual_seed(seed)
+        self.generator = torch.Generator(device).manual_seed(seed)
         self.steps = task.episode_steps // repeat * repeat
-        self.groups = [Group(task, g, worlds, seed) for g in range(groups)]
+        self.groups = [Group(task, g, worlds, seed, device) for g in range(groups)]
         self.before = policy.config.history - 1  # rows kept from earlier decisions
         shape = (groups, self.before + decisions + 1, worlds, task.shepherds_max)
         n_rays = policy.config.lidar.n_rays
-        self.store = torch.zeros(*shape, 3, n_rays, dtype=dtype)
-        self.first = torch.zeros(shape, dtype=torch.int64)
-        self.begun = torch.zeros(shape[:2], dtype=torch.int64)  # row in which the episode began
-        self.mask = torch.zeros(shape, dtype=torch.bool)
+        self.store = torch.zeros(*shape, 3, n_rays, dtype=dtype, device=device)
+        self.first = torch.zeros(shape, dtype=torch.int64, device=device)
+        # row in which the episode began
+        self.begun = torch.zeros(shape[:2], dtype=torch.int64, device=device)
+        self.mask = torch.zeros(shape, dtype=torch.bool, device=device)
         for g, group in enumerate(self.groups):
             # the first episodes are of different length, so that not all end at once
             cut = self.steps * (g + 1) // groups // repeat * repeat
@@ -146,7 +159,8 @@ class Rollout:
     def rows_of(self, g: Tensor, row: Tensor, world: Tensor, shepherd: Tensor) -> Tensor:
         """Return the rows (n, K) of the flat store that hold the frames of n decisions."""
         config = self.policy.config
-        back = torch.arange(config.observation.n_frames - 1, -1, -1) * config.decisions_apart
+        back = torch.arange(config.observation.n_frames - 1, -1, -1, device=self.device)
+        back = back * config.decisions_apart
         seen = torch.maximum(row[:, None] - back, self.begun[g, row][:, None])
         _, rows, worlds, team = self.mask.shape
         return ((g[:, None] * rows + seen) * worlds + world[:, None]) * team + shepherd[:, None]
@@ -176,10 +190,11 @@ class Rollout:
         """
         policy, shape = self.policy, (*self.mask.shape[:1], self.decisions, *self.mask.shape[2:])
         repeat, n_rays = policy.config.repeat, policy.config.lidar.n_rays
-        action = torch.zeros(*shape, 2)
-        density, value, next_value, reward = (torch.zeros(shape) for _ in range(4))
-        ended = torch.zeros(shape[:2], dtype=torch.bool)
-        everyone = torch.arange(len(self.groups))
+        device = self.device
+        action = torch.zeros(*shape, 2, device=device)
+        density, value, next_value, reward = (torch.zeros(shape, device=device) for _ in range(4))
+        ended = torch.zeros(shape[:2], dtype=torch.bool, device=CPU)
+        everyone = torch.arange(len(self.groups), device=device)
         for t in range(self.decisions):
             row = self.before + t
             who = self._present(row, everyone)
@@ -188,22 +203,23 @@ class Rollout:
             first = self.first[who]
             x = self.inputs(self.rows_of(*who), first)
             mean, std = policy.actor(x)
-            chosen = mean + std * torch.randn(mean.shape, generator=self.generator)
+            chosen = mean + std * torch.randn(mean.shape, generator=self.generator, device=device)
             action[at], density[at] = chosen, log_prob(chosen, mean, std)
             value[at] = policy.critic(x)
-            command = torch.zeros(*self.mask[:, 0].shape, 2)
+            command = torch.zeros(*self.mask[:, 0].shape, 2, device=device)
             command[g, world, shepherd] = turned(chosen, first, n_rays)
             for i, group in enumerate(self.groups):
                 reward[i, t] = group.advance(command[i], repeat, self.reward) * scale
                 self._see(i, row + 1)
                 ended[i, t] = group.left <= 0
-            over = ended[:, t].nonzero()[:, 0]
+            over = ended[:, t].nonzero()[:, 0].to(device)
             if len(over):
                 (g, _, world, shepherd), last = self._values(row + 1, over)
                 next_value[g, t, world, shepherd] = last
                 for i in over.tolist():
                     self.groups[i].begin(self.steps)
                     self._see(i, row + 1, starts=True)
+        ended = ended.to(device)
         (g, _, world, shepherd), last = self._values(self.before + self.decisions, everyone)
         final = torch.zeros_like(value[:, 0])
         final[g, world, shepherd] = last
@@ -245,6 +261,6 @@ class Rollout:
         """Go on from what state_dict() gave."""
         for group, state in zip(self.groups, kept['groups'], strict=True):
             group.load_state_dict(state)
-        self.generator.set_state(kept['generator'])
+        self.generator.set_state(kept['generator'].to(CPU))
         for name in self.KEPT:
             getattr(self, name)[:, : self.before + 1] = kept[name]

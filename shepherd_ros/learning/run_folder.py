@@ -54,7 +54,7 @@ class Run:
             curve.unlink(missing_ok=True)
             return None
         try:
-            state = torch.load(self.state, weights_only=True)
+            state = torch.load(self.state, weights_only=True, map_location='cpu')
         except UNREADABLE as error:
             raise ConfigError(
                 f'{self.state} cannot be read ({error}): remove it to start anew'

@@ -50,10 +50,10 @@ class Training:
     def __init__(self, policy: Policy, config: PPORunConfig) -> None:
         """Start in the first stage."""
         self.policy, self.config = policy, config
-        self.dtype = fast_dtype()
+        self.dtype = fast_dtype(policy.device)
         self.stages = stages(policy.config, config.anneal)
         self.learner = Learner(policy, config.ppo)
-        self.generator = torch.Generator().manual_seed(config.seed + 1)
+        self.generator = torch.Generator('cpu').manual_seed(config.seed + 1)
         self.progress = {'samples': 0, 'updates': 0, 'seconds': 0.0, 'world_steps': 0, 'stage': 0}
         self.enter(0)
 
@@ -110,7 +110,7 @@ class Training:
         self.enter(int(self.progress['stage']))
         self.learner.load_state_dict(kept['learner'])
         self.rollout.load_state_dict(kept['rollout'])
-        self.generator.set_state(kept['generator'])
+        self.generator.set_state(kept['generator'].to('cpu'))
 
 
 def train_ppo(

@@ -37,8 +37,10 @@ class NetworkConfig(Config):
     max_std: float = option(1.65, 'largest standard deviation [m/s]', low=0.001)
 
 
-def fast_dtype() -> torch.dtype:
-    """Return bfloat16 where the CPU multiplies matrices of it, else float32."""
+def fast_dtype(device: torch.device | None = None) -> torch.dtype:
+    """Return bfloat16 where the device, the CPU if none is named, multiplies matrices of it."""
+    if device is not None and device.type == 'cuda':
+        return torch.bfloat16
     return torch.bfloat16 if torch.cpu._is_amx_tile_supported() else torch.float32
 
 

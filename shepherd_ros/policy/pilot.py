@@ -17,13 +17,14 @@ def begin(
     policy: Policy, batch: tuple[int, ...], team: int, dtype: torch.dtype = torch.float32
 ) -> Memory:
     """Return the memory of teams (*batch, team) that have seen nothing; dtype as for fly()."""
-    config = policy.config
+    config, device = policy.config, policy.device
     shape = (*batch, team, config.history, 3, config.lidar.n_rays)
     return {
-        'count': torch.zeros(batch, dtype=torch.int64),  # steps since then
-        'history': torch.zeros(shape, dtype=dtype),  # scaled, newest last
-        'first': torch.zeros(*batch, team, dtype=torch.int64),  # ray in front of the newest
-        'command': torch.zeros(*batch, team, 2),
+        'count': torch.zeros(batch, dtype=torch.int64, device=device),  # steps since then
+        'history': torch.zeros(shape, dtype=dtype, device=device),  # scaled, newest last
+        # ray in front of the newest
+        'first': torch.zeros(*batch, team, dtype=torch.int64, device=device),
+        'command': torch.zeros(*batch, team, 2, device=device),
     }
 
 

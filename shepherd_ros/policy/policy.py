@@ -65,6 +65,11 @@ class Policy(nn.Module):
         self.actor = Actor(shape, config.network)
         self.critic = Critic(shape, config.network)
 
+    @property
+    def device(self) -> torch.device:
+        """Return where the networks are."""
+        return next(self.parameters()).device
+
     def pace(self, config: PolicyConfig) -> None:
         """Go on with another time that actions are held and other limits of their spread."""
         self.config = config
@@ -99,7 +104,7 @@ class Policy(nn.Module):
     def act_on(self, scaled: Tensor, first: Tensor, draws: Tensor | None = None) -> Tensor:
         """Return act() for frames that scaled() gave, (n, K, 3, R), with their ray in front."""
         if not len(scaled):
-            return torch.zeros(0, 2)
+            return torch.zeros(0, 2, device=scaled.device)
         mean, std = self.actor(self.arranged(scaled, first))
         action = mean if draws is None else mean + std * draws
         return turned(action, first, scaled.shape[-1])

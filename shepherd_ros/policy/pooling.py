@@ -60,7 +60,7 @@ def pool(x: Tensor) -> tuple[Tensor, Tensor]:
     """Return the pooled (B, W // 5, C) of a contiguous x (B, W, C) and who won."""
     batch, width, channels = x.shape
     out = x.new_empty(batch, width // WINDOW, channels)
-    winner = torch.empty(out.shape, dtype=torch.uint8)
+    winner = torch.empty(out.shape, dtype=torch.uint8, device='cpu')
     _pool(_bits(x), _bits(out), winner.numpy())
     return out, winner
 
