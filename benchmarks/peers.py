@@ -2,7 +2,7 @@
 """
 Shepherd observations per second beside VMAS (Bettini et al. 2022), in one run.
 
-Both have three robots with a lidar of 512 rays for each of three types, and 100 round animals 
+Both have three robots with a lidar of 512 rays for each of three types, and 100 round animals
 are seen; ours computes a flock, there they stand. A step moves the world and reads all lidars.
 """
 

@@ -12,8 +12,9 @@ import time
 from typing import Any
 
 from shepherd_ros.config import Config, option, part
-from shepherd_ros.controllers import controller_type, make_controller
+from shepherd_ros.controllers import make_controller
 from shepherd_ros.controllers.policy import LearnedConfig, LearnedController
+from shepherd_ros.evaluation.methods import checkpoint_of, full_name
 from shepherd_ros.learning.clone import CloneConfig, Cloner, Examples
 from shepherd_ros.learning.judge import judge
 from shepherd_ros.learning.rollout import Group, team_reward
@@ -33,7 +34,7 @@ class DaggerConfig(Config):
     """A whole run; all are choices."""
 
     seed: int = option(0, 'seed of weights, worlds and order', low=0)
-    teacher: str = option('drover', 'controller that is imitated')
+    teacher: str = option('drover', 'controller that is imitated; a policy as policy:CHECKPOINT')
     reynolds_teacher: str = option('drover', 'the same for a Reynolds flock')
     rounds: int = option(60, 'rounds of driving and learning', low=1)
     shown: int = option(6, 'first rounds, in which the teacher drives all worlds', low=0)
@@ -54,7 +55,7 @@ class DaggerConfig(Config):
         """Check each field and the names of the teachers."""
         super().__post_init__()
         for name in (self.teacher, self.reynolds_teacher):
-            controller_type(name)
+            full_name(name)
 
 
 class Lesson:
@@ -76,7 +77,9 @@ class Lesson:
         world = self.group.config.world
         reynolds = isinstance(world.flock, ReynoldsFlock)
         name = self.config.reynolds_teacher if reynolds else self.config.teacher
-        self.teacher = make_controller(name, world)
+        name = full_name(name)
+        options = {'checkpoint': checkpoint_of(name)} if checkpoint_of(name) else {}
+        self.teacher = make_controller(name.partition(':')[0], world, **options)
         self.learner = LearnedController(LearnedConfig(), world, self.policy, self.dtype)
         self.taught = self.teacher.begin(self.group.state)
         self.learned = self.learner.begin(self.group.state)
