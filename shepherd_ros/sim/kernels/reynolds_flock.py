@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from shepherd_ros.sim.kernels import compiled, flat
+from shepherd_ros.sim.kernels.grid import build, nothing, within
 from shepherd_ros.sim.kernels.vectors import length, unit
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import EPSILON
@@ -15,6 +16,7 @@ from torch import Tensor
 
 _EPSILON = np.float32(EPSILON)
 _ZERO, _ONE = np.float32(0), np.float32(1)
+_LARGE = 600  # flocks from this size on are put on a grid
 _TINY = np.float32(0.01)  # of a term: sim.flocking.reynolds.TINY
 
 
@@ -26,6 +28,54 @@ def _fear(x, y, others, mask, view, nearest, me):
         dx, dy = x - others[k, 0], y - others[k, 1]
         squared = dx * dx + dy * dy
         if squared < view * view and mask[k] and k != me:
+            inverse = _ONE / max(squared, nearest * nearest)
+            sum_x += dx * inverse
+            sum_y += dy * inverse
+    return sum_x, sum_y
+
+
+@compiled
+def _seen(i, sheep, heading, mask, view):
+    """Return how many sheep sheep i sees, and the sums of offsets to them and of headings."""
+    count = 0
+    sum_x, sum_y, turn_x, turn_y = _ZERO, _ZERO, _ZERO, _ZERO
+    for j in range(sheep.shape[0]):
+        dx, dy = sheep[i, 0] - sheep[j, 0], sheep[i, 1] - sheep[j, 1]
+        if j != i and mask[j] and dx * dx + dy * dy < view * view:
+            count += 1
+            sum_x -= dx
+            sum_y -= dy
+            turn_x += heading[j, 0]
+            turn_y += heading[j, 1]
+    return count, sum_x, sum_y, turn_x, turn_y
+
+
+@compiled
+def _seen_by(i, sheep, heading, candidates, many, view):
+    """Return _seen() of those sheep that are candidates."""
+    count = 0
+    sum_x, sum_y, turn_x, turn_y = _ZERO, _ZERO, _ZERO, _ZERO
+    for m in range(many):
+        j = candidates[m]
+        dx, dy = sheep[i, 0] - sheep[j, 0], sheep[i, 1] - sheep[j, 1]
+        if j != i and dx * dx + dy * dy < view * view:
+            count += 1
+            sum_x -= dx
+            sum_y -= dy
+            turn_x += heading[j, 0]
+            turn_y += heading[j, 1]
+    return count, sum_x, sum_y, turn_x, turn_y
+
+
+@compiled
+def _fear_by(x, y, others, candidates, count, view, nearest, me):
+    """Return _fear() of those of the others that are candidates."""
+    sum_x, sum_y = _ZERO, _ZERO
+    for m in range(count):
+        k = candidates[m]
+        dx, dy = x - others[k, 0], y - others[k, 1]
+        squared = dx * dx + dy * dy
+        if squared < view * view and k != me:
             inverse = _ONE / max(squared, nearest * nearest)
             sum_x += dx * inverse
             sum_y += dy * inverse
@@ -45,24 +95,28 @@ def _reynolds(
     nearest, speed, dt, new_sheep, new_heading,
 ):  # fmt: skip
     n = sheep.shape[1]
+    large = n >= _LARGE
+    candidates = np.empty(n, np.int64)
     for b in range(sheep.shape[0]):
+        grid = build(sheep[b], mask[b]) if large else nothing()
+        met = 0
         for i in range(n):
             x, y = sheep[b, i, 0], sheep[b, i, 1]
-            count = 0
-            sum_x, sum_y, turn_x, turn_y = _ZERO, _ZERO, _ZERO, _ZERO
-            for j in range(n):
-                dx, dy = x - sheep[b, j, 0], y - sheep[b, j, 1]
-                if j != i and mask[b, j] and dx * dx + dy * dy < view * view:
-                    count += 1
-                    sum_x -= dx
-                    sum_y -= dy
-                    turn_x += heading[b, j, 0]
-                    turn_y += heading[b, j, 1]
+            if large:
+                met = within(i, view, grid, candidates)
+                count, sum_x, sum_y, turn_x, turn_y = _seen_by(
+                    i, sheep[b], heading[b], candidates, met, view
+                )
+            else:
+                count, sum_x, sum_y, turn_x, turn_y = _seen(i, sheep[b], heading[b], mask[b], view)
             u, v = heading[b, i, 0] * speed, heading[b, i, 1] * speed
             force_x, force_y = _ZERO, _ZERO
             if count > 0:
                 others = np.float32(count)
-                apart_x, apart_y = _fear(x, y, sheep[b], mask[b], view, nearest, i)
+                if large:
+                    apart_x, apart_y = _fear_by(x, y, sheep[b], candidates, met, view, nearest, i)
+                else:
+                    apart_x, apart_y = _fear(x, y, sheep[b], mask[b], view, nearest, i)
                 to_x, to_y = sum_x / others, sum_y / others
                 along_x, along_y = turn_x / others * speed - u, turn_y / others * speed - v
                 if directions:

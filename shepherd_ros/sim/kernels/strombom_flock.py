@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from shepherd_ros.sim.kernels import compiled, flat
+from shepherd_ros.sim.kernels.grid import build, nothing, sum_of_nearest, within
 from shepherd_ros.sim.kernels.noise import direction_at, key_of, uniform_at
 from shepherd_ros.sim.kernels.vectors import length, unit
 from shepherd_ros.sim.noise import Stream
@@ -19,6 +20,7 @@ from torch import Tensor
 _TURN, _GRAZE = int(Stream.TURN), int(Stream.GRAZE)
 _EPSILON = np.float32(EPSILON)
 _ZERO, _ONE = np.float32(0), np.float32(1)
+_FEW = 27  # sheep that are too many are searched for one by one up to here, else on a grid
 _SLACK = np.float32(1e-5)  # of the flock's extent: far more than distances are rounded by
 
 
@@ -36,6 +38,21 @@ def _push(x, y, others, mask, reach):
                 push_x += dx * inverse
                 push_y += dy * inverse
     return push_x, push_y, noticed
+
+
+@compiled
+def _push_by(x, y, others, candidates, count, reach):
+    """Return the first two of _push() by those of the others that are candidates."""
+    push_x, push_y = _ZERO, _ZERO
+    for k in range(count):
+        j = candidates[k]
+        dx, dy = x - others[j, 0], y - others[j, 1]
+        squared = dx * dx + dy * dy
+        if _EPSILON * _EPSILON < squared < reach * reach:
+            inverse = _ONE / np.float32(math.sqrt(squared))
+            push_x += dx * inverse
+            push_y += dy * inverse
+    return push_x, push_y
 
 
 @compiled
@@ -65,28 +82,6 @@ def _sum_of_farthest(i, sheep, near, order, out, slack, keep, best, index):
         for m in range(found - 1, k, -1):
             best[m], index[m] = best[m - 1], index[m - 1]
         best[k], index[k] = squared, j
-    sum_x, sum_y = _ZERO, _ZERO
-    for k in range(found):
-        sum_x += near[index[k], 0]
-        sum_y += near[index[k], 1]
-    return sum_x, sum_y
-
-
-@compiled
-def _sum_of_nearest(i, sheep, near, mask, keep, best, index):
-    """Return the sum of near (N, 2) over the keep sheep nearest to sheep i."""
-    found = 0
-    for j in range(sheep.shape[0]):
-        dx, dy = sheep[i, 0] - sheep[j, 0], sheep[i, 1] - sheep[j, 1]
-        squared = dx * dx + dy * dy
-        if j == i or not mask[j] or (found == keep and squared >= best[found - 1]):
-            continue
-        k = found if found < keep else found - 1
-        while k > 0 and best[k - 1] > squared:
-            best[k], index[k] = best[k - 1], index[k - 1]
-            k -= 1
-        best[k], index[k] = squared, j
-        found = min(found + 1, keep)
     sum_x, sum_y = _ZERO, _ZERO
     for k in range(found):
         sum_x += near[index[k], 0]
@@ -133,8 +128,10 @@ def _strombom(
                 sum_y += near[j, 1]
         far = others - n_neighbors
         count = min(others, n_neighbors)
-        few_far = 0 < far <= n_neighbors
+        few_far = 0 < far <= _FEW
         order, slack = places, _ZERO
+        many_far = far > _FEW
+        grid = build(sheep[b], mask[b]) if many_far else nothing()
         if few_far:
             size = np.float32(others + 1)
             order = _from_the_rim(near, mask[b], sum_x / size, sum_y / size, out, places)
@@ -154,15 +151,17 @@ def _strombom(
                             i, sheep[b], near, order, out, slack, far, best, index
                         )
                         to_x, to_y = to_x - far_x, to_y - far_y
-                    elif far > 0:
-                        to_x, to_y = _sum_of_nearest(
-                            i, sheep[b], near, mask[b], count, best, index
-                        )
+                    elif many_far:
+                        to_x, to_y = sum_of_nearest(i, sheep[b], near, count, grid, index, best)
                     to_x = to_x / np.float32(count) - near[i, 0]
                     to_y = to_y / np.float32(count) - near[i, 1]
                 if not metric:
                     to_x, to_y = unit(to_x, to_y)
-                apart_x, apart_y, _ = _push(x, y, sheep[b], mask[b], sheep_range)
+                if many_far:
+                    met = within(i, sheep_range, grid, index)
+                    apart_x, apart_y = _push_by(x, y, sheep[b], index, met, sheep_range)
+                else:
+                    apart_x, apart_y, _ = _push(x, y, sheep[b], mask[b], sheep_range)
                 apart_x, apart_y = unit(apart_x, apart_y)
                 if normalize:
                     away_x, away_y = unit(away_x, away_y)
