@@ -81,8 +81,8 @@ paper: setup
 table: setup  # teams and flocks, all controllers: hours; $(ROWS)/table.md
 	$(BIN)/shepherd evaluate table $(SHORT) --workers $(WORKERS) --policies $(POLICIES) --out $(ROWS)
 
-bench: setup
-	$(BIN)/python benchmarks/core.py && $(BIN)/python benchmarks/ring.py
+bench: setup  # all of them, about half an hour on cores of its own; out/bench/
+	$(BIN)/pip install -q -c constraints.txt --editable '.[bench]' && $(BIN)/python benchmarks/run_all.py
 
 bench-learning: setup  # about five minutes on cores of its own
 	$(BIN)/python benchmarks/learning.py

@@ -72,6 +72,7 @@ setup(
         'fast': ['numba'],
         'envs': ['gymnasium', 'pettingzoo'],
         'sb3': ['gymnasium', 'pettingzoo', 'stable-baselines3'],
+        'bench': ['vmas'],
         'test': ['pytest'],
         'dev': [
             'catkin-pkg',
