@@ -26,6 +26,7 @@ PURE = {'config', 'sim', 'controllers'}
 ALLOWED: dict[str, tuple[set[str], set[str]]] = {
     'config': (set(), set()),
     'share': (set(), {'ament_index_python'}),
+    'ranks': (set(), {'torch'}),
     'topics': ({'config', 'share'}, {'yaml'}),
     'stack': ({'config'}, set()),
     'sim': ({'config'}, {'torch'}),
@@ -43,7 +44,7 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
         {'lz4', 'mcap', 'numpy', 'pyarrow', 'rosbags', 'yaml', 'zstandard'},
     ),
     'learning': (
-        {'config', 'sim', 'controllers', 'policy', 'bags', 'evaluation'},
+        {'config', 'ranks', 'sim', 'controllers', 'policy', 'bags', 'evaluation'},
         {'numpy', 'tensorboard', 'torch'},
     ),
     'evaluation': (
@@ -61,7 +62,7 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
     'cli': (
         {
             'config', 'share', 'topics', 'stack', 'sim', 'controllers', 'policy', 'bags',
-            'environments', 'episode', 'learning', 'evaluation', 'sb3', 'view', 'nodes',
+            'environments', 'episode', 'learning', 'evaluation', 'ranks', 'sb3', 'view', 'nodes',
         },
         {'numpy', 'rich', 'torch', 'tyro', 'yaml'},
     ),

@@ -64,7 +64,7 @@ class Evaluate:
         from shepherd_ros.evaluation.campaign import is_done, plan, run_tasks, shard_of
         from shepherd_ros.evaluation.cells import Cell
         from shepherd_ros.evaluation.experiments import experiments
-        from shepherd_ros.evaluation.ranks import rank, torchrun_shard, wait_for_all
+        from shepherd_ros.ranks import rank, ranks, wait_for_all
 
         if self.workers < 1:
             raise UserError(f'--workers is {self.workers}: expected at least 1')
@@ -74,7 +74,7 @@ class Evaluate:
             for e in chosen
             for task in plan(e.settings, e.controllers, self.seed, e.episodes)
         }
-        mine = shard_of(list(tasks.values()), self.shard or torchrun_shard())
+        mine = shard_of(list(tasks.values()), self.shard or f'{rank() + 1}/{ranks()}')
         try:
             self.out.mkdir(parents=True, exist_ok=True)
         except OSError as error:

@@ -21,6 +21,7 @@ from shepherd_ros.learning.train_ppo import PPORunConfig, train_ppo
 from shepherd_ros.policy.checkpoint import load_policy
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
+from shepherd_ros.ranks import device_index, rank, ranks
 from shepherd_ros.sim.observation import ObservationConfig
 import torch
 import tyro
@@ -114,6 +115,12 @@ def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
     if kind is BCConfig and not arguments.bags:
         raise UserError('no bags are given: expected bags or folders of bags, as arguments')
     check_device(arguments.device, kind)
+    if ranks() > 1 and kind is not PPORunConfig:
+        raise UserError(
+            f'torchrun has started {ranks()} processes: expected one, only PPO trains in several'
+        )
+    if arguments.device == 'cuda':
+        torch.cuda.set_device(device_index())
     torch.set_num_threads(arguments.threads)
     keep_memory()
     config = configured(kind, arguments.run_)
@@ -140,7 +147,8 @@ def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
     result = train(policy, *bags, config, run, show)
     if kind is BCConfig:
         print(result.text())
-    print(f'the best policy is in {run.best}')
+    if rank() == 0:
+        print(f'the best policy is in {run.best}')
     return 0
 
 

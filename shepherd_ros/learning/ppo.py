@@ -8,6 +8,7 @@ from typing import Any
 from shepherd_ros.config import Config, option
 from shepherd_ros.learning.rollout import Batch, log_prob, Rollout
 from shepherd_ros.policy.policy import Policy
+from shepherd_ros.ranks import add_up, least, ranks, total
 import torch
 from torch import nn, Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
@@ -48,6 +49,16 @@ def approximate_kl(log_ratio: Tensor) -> Tensor:
 def explained_variance(guess: Tensor, target: Tensor) -> float:
     """Return the share of the variance of the target that the guess explains."""
     return float(1 - (target - guess).var() / target.var().clamp(min=1e-12))
+
+
+def normalised(gain: Tensor) -> Tensor:
+    """Return advantages with mean 0 and deviation 1 over all processes."""
+    if ranks() == 1:
+        return (gain - gain.mean()) / gain.std().clamp(min=1e-8)
+    count = total(len(gain))
+    mean = total(float(gain.sum())) / count
+    variance = total(float((gain - mean).square().sum())) / max(count - 1, 1)
+    return (gain - mean) / max(variance**0.5, 1e-8)
 
 
 class Learner:
@@ -96,24 +107,34 @@ class Learner:
     def update(
         self, rollout: Rollout, batch: Batch, generator: torch.Generator, actor: bool = True
     ) -> dict[str, float]:
-        """Learn from a batch, in place; return what to watch. actor False: critic only."""
+        """
+        Learn from a batch, in place; return what to watch. actor False: critic only.
+
+        Where there are several processes, each has a batch of its own, and all take the steps of
+        the whole: gradients are means over all samples of a minibatch, wherever they are.
+        """
         config, size = self.config, len(batch.value)
         gain = batch.advantage
         target = gain + batch.value
-        gain = (gain - gain.mean()) / gain.std().clamp(min=1e-8)
+        gain = normalised(gain)
         seen: dict[str, list[float]] = {'actor_loss': [], 'critic_loss': [], 'kl': [], 'std': []}
         acting = actor
         for _ in range(config.epochs):
             order = torch.randperm(size, generator=generator, device=generator.device)
             order = order.to(batch.value.device)
-            for chosen in order.split(config.minibatch):
-                if len(chosen) < config.minibatch // 2 and size > config.minibatch:
-                    continue  # a rest is a poor estimate
+            parts = [
+                part
+                for part in order.split(config.minibatch)
+                # a rest is a poor estimate
+                if len(part) >= config.minibatch // 2 or size <= config.minibatch
+            ]
+            for chosen in parts[: least(len(parts))]:
+                share = len(chosen) / total(len(chosen))  # of the samples of this step
                 x = rollout.inputs(batch.rows[chosen], batch.first[chosen])
                 if acting:
                     mean, std = self.policy.actor(x)
                     log_ratio = log_prob(batch.action[chosen], mean, std) - batch.log_prob[chosen]
-                    kl = float(approximate_kl(log_ratio.detach()))
+                    kl = total(share * float(approximate_kl(log_ratio.detach())))
                     seen['kl'].append(kl)
                     if kl > config.target_kl:
                         acting = False
@@ -122,11 +143,11 @@ class Learner:
                         seen['actor_loss'].append(float(loss.detach()))
                         seen['std'].append(float(std.detach().mean()))
                         loss = loss - config.entropy * std.log().sum(dim=-1).mean()
-                        self._descend(self.actor, self.policy.actor, loss)
+                        self._descend(self.actor, self.policy.actor, loss * share)
                         self.average.update_parameters(self.policy.actor)
                 error = (self.policy.critic(x) - target[chosen]).square().mean()
                 seen['critic_loss'].append(float(error.detach()))
-                self._descend(self.critic, self.policy.critic, error)
+                self._descend(self.critic, self.policy.critic, error * share)
         means = {name: sum(values) / len(values) for name, values in seen.items() if values}
         return means | {
             'actor_steps': float(len(seen['actor_loss'])),
@@ -136,5 +157,6 @@ class Learner:
     def _descend(self, optimiser: torch.optim.Adam, network: nn.Module, loss: Tensor) -> None:
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
+        add_up(p.grad for p in network.parameters() if p.grad is not None)
         nn.utils.clip_grad_norm_(network.parameters(), self.config.longest_gradient)
         optimiser.step()

@@ -9,6 +9,7 @@ from typing import Any
 from shepherd_ros.learning.gae import advantages
 from shepherd_ros.learning.task import draw_environment, TaskConfig
 from shepherd_ros.policy.policy import Policy
+from shepherd_ros.ranks import rank
 from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.lidar import scan
 from shepherd_ros.sim.observation import turned
@@ -21,6 +22,7 @@ import torch
 from torch import Tensor
 
 CPU = torch.device('cpu')
+STRANGERS = 15_485_863  # seeds from one process to the next
 SEEDS_APART = 1_000_003  # from an episode of a group to its next
 
 
@@ -131,9 +133,12 @@ class Rollout:
         self.reward = reward
         repeat = policy.config.repeat
         self.policy, self.dtype, self.decisions = policy, dtype, decisions
-        self.generator = torch.Generator(device).manual_seed(seed)
+        # each process draws and starts for itself
+        self.generator = torch.Generator(device).manual_seed(seed + STRANGERS * rank())
         self.steps = task.episode_steps // repeat * repeat
-        self.groups = [Group(task, g, worlds, seed, device) for g in range(groups)]
+        self.groups = [
+            Group(task, g + rank() * groups, worlds, seed, device) for g in range(groups)
+        ]
         self.before = policy.config.history - 1  # rows kept from earlier decisions
         shape = (groups, self.before + decisions + 1, worlds, task.shepherds_max)
         n_rays = policy.config.lidar.n_rays

@@ -12,6 +12,7 @@ from typing import Any
 from shepherd_ros.config import ConfigError
 from shepherd_ros.policy.checkpoint import save_policy
 from shepherd_ros.policy.policy import Policy
+from shepherd_ros.ranks import rank
 import torch
 
 # what torch raises for bytes that are no state
@@ -33,7 +34,7 @@ class Run:
         self.folder, self.record = folder, dict(record)
         self.best = folder / 'best.safetensors'
         self.best_score = -math.inf
-        self.state = folder / 'state.pt'
+        self.state = folder / (f'state_{rank()}.pt' if rank() else 'state.pt')
         asked = folder / 'run.json'
         folder.mkdir(parents=True, exist_ok=True)
         if asked.exists():
@@ -43,7 +44,7 @@ class Run:
                     f'{folder} holds a run with another configuration: expected the same to go '
                     'on with it; choose another --out, or remove the folder'
                 )
-        else:
+        elif rank() == 0:
             asked.write_text(json.dumps(self.record, indent=1), encoding='utf-8')
         self._board: Any = None
 
@@ -51,7 +52,8 @@ class Run:
         """Return the state that was saved last, cut the curve back to it; None: there is none."""
         curve = self.folder / 'curve.jsonl'
         if not self.state.exists():
-            curve.unlink(missing_ok=True)
+            if rank() == 0:
+                curve.unlink(missing_ok=True)
             return None
         try:
             state = torch.load(self.state, weights_only=True, map_location='cpu')
@@ -59,6 +61,8 @@ class Run:
             raise ConfigError(
                 f'{self.state} cannot be read ({error}): remove it to start anew'
             ) from error
+        if rank() > 0:
+            return dict(state)
         lines = curve.read_text(encoding='utf-8').splitlines(keepends=True)
         # later lines are written again; the last one may be torn
         curve.write_text(''.join(lines[: state['progress']['updates']]), encoding='utf-8')

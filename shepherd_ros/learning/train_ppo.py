@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import time
 from typing import Any
 
-from shepherd_ros.config import Config, option, part
+from shepherd_ros.config import Config, ConfigError, option, part
 from shepherd_ros.learning.annealing import (
     AnnealConfig,
     same_horizon,
@@ -21,6 +21,7 @@ from shepherd_ros.learning.run_folder import Run
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
+from shepherd_ros.ranks import least, rank, ranks, total
 import torch
 
 STAGES_APART = 7919  # of seeds, from a stage to the next
@@ -89,9 +90,10 @@ class Training:
         acting = self.progress['updates'] >= config.critic_first
         seen |= self.learner.update(self.rollout, batch, self.generator, acting)
         self.rollout.roll()
-        self.progress['samples'] += len(batch.value)
+        self.progress['samples'] += int(total(len(batch.value)))
         self.progress['updates'] += 1
-        self.progress['world_steps'] += config.groups * config.worlds * config.decisions * repeat
+        made = config.groups * config.worlds * config.decisions * repeat
+        self.progress['world_steps'] += made * ranks()
         seen['rollout_share'] = (collected - begun) / (time.monotonic() - begun)
         return seen | {'repeat': float(repeat)}
 
@@ -133,12 +135,13 @@ def train_ppo(
         training.load_state_dict(kept)
         progress = training.progress
         run.best_score = kept['best_score']
+    check_together(int(progress['updates']), run)
     while progress['samples'] < config.samples:
         begun = time.monotonic()
         line: dict[str, Any] = training.round()
         last = progress['samples'] >= config.samples
         due = last or progress['updates'] % config.judge_every == 0
-        if due:
+        if due and rank() == 0:
             kept_policy = training.learner.averaged()
             results = judge(
                 kept_policy, config.task, config.judge_episodes, config.judge_steps, training.dtype
@@ -148,8 +151,19 @@ def train_ppo(
         left = (config.samples - progress['samples']) / rate
         line = {**progress, 'samples_per_second': rate, 'seconds_left': left, **line}
         if due:
-            line |= run.judged(kept_policy, results, progress)
+            if rank() == 0:
+                line |= run.judged(kept_policy, results, progress)
             run.save(training.state_dict() | {'best_score': run.best_score})
-        run.write(line)
-        on_line(line)
+        if rank() == 0:
+            run.write(line)
+            on_line(line)
     return policy
+
+
+def check_together(updates: int, run: Run) -> None:
+    """Raise ConfigError unless all processes go on from the same update."""
+    if total(abs(updates - least(updates))) > 0:
+        raise ConfigError(
+            f'{run.folder} holds states of different updates, as it was cut off while they were '
+            'written, or by another number of processes: remove state*.pt to start anew'
+        )

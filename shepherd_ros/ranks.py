@@ -1,0 +1,73 @@
+"""The processes that torchrun starts, on one machine or on several, each a rank; or just one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from datetime import timedelta
+import os
+from typing import Any
+
+LONG = timedelta(days=30)  # that one rank may wait for another
+
+
+def rank() -> int:
+    """Return which of torchrun's processes this is, counted from 0 over all machines."""
+    return int(os.environ.get('RANK', '0'))
+
+
+def ranks() -> int:
+    """Return how many processes torchrun has started over all machines, 1 without it."""
+    return int(os.environ.get('WORLD_SIZE', '1'))
+
+
+def device_index() -> int:
+    """Return which GPU of this machine is for this process."""
+    return int(os.environ.get('LOCAL_RANK', '0'))
+
+
+def wait_for_all() -> None:
+    """Return when every process has come here; at once where there is one."""
+    if ranks() > 1:
+        _distributed().barrier()
+
+
+def total(number: float) -> float:
+    """Return the sum of a number over all processes."""
+    return number if ranks() == 1 else float(_reduced([number], 'SUM')[0])
+
+
+def least(number: int) -> int:
+    """Return the smallest of a number over all processes."""
+    return number if ranks() == 1 else int(_reduced([number], 'MIN')[0])
+
+
+def add_up(tensors: Iterable[Any]) -> None:
+    """Replace float tensors by their sums over all processes, in place."""
+    if ranks() == 1:
+        return
+    import torch
+
+    tensors = list(tensors)
+    whole = torch.cat([tensor.reshape(-1) for tensor in tensors])
+    _distributed().all_reduce(whole)
+    for tensor, part in zip(tensors, whole.split([t.numel() for t in tensors]), strict=True):
+        tensor.copy_(part.view_as(tensor))
+
+
+def _reduced(numbers: list[float], how: str) -> Any:
+    import torch
+
+    distributed = _distributed()
+    values = torch.tensor(numbers, dtype=torch.float64)
+    distributed.all_reduce(values, getattr(distributed.ReduceOp, how))
+    return values
+
+
+def _distributed() -> Any:
+    """Return torch.distributed with all processes in a group, which is made the first time."""
+    from torch import cuda, distributed
+
+    if not distributed.is_initialized():
+        kinds = 'cpu:gloo,cuda:nccl' if cuda.is_available() else 'gloo'
+        distributed.init_process_group(kinds, timeout=LONG)
+    return distributed
