@@ -35,12 +35,14 @@ def main(arguments: list[str] | None = None) -> int:
     from shepherd_ros.cli.figures import Figures
     from shepherd_ros.cli.record import Record
     from shepherd_ros.cli.replay import Replay
+    from shepherd_ros.cli.search import Search
     import tyro
 
     verbs: dict[str, Callable[..., Any]] = {
         'demo': Demo,
         'evaluate': Evaluate,
         'figures': Figures,
+        'search': Search,
         'record': Record,
         'replay': Replay,
         'counterfactual': Counterfactual,

@@ -16,6 +16,7 @@ from shepherd_ros.evaluation.setting import env_config, Setting
 from shepherd_ros.policy.checkpoint import checkpoint_file, load_policy, read_metadata
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.lidar import LidarConfig, scan
+from shepherd_ros.sim.presets import PRESETS
 from shepherd_ros.sim.state import WorldState
 from torch import Tensor
 
@@ -112,7 +113,9 @@ def make_method(name: str, setting: Setting) -> Controller:
     config = env_config(setting)
     checkpoint = checkpoint_of(name)
     if not checkpoint:
-        return make_controller(name, config.world)
+        return make_controller(
+            name, config.world, **PRESETS[setting.preset].controllers.get(name, {})
+        )
     policy = loaded(checkpoint)
     if setting.any_dt:
         policy.config = replace(policy.config, dt=config.world.dt)

@@ -17,11 +17,17 @@ from shepherd_ros.sim.world import WorldConfig
 
 @dataclass(frozen=True)
 class Preset:
-    """Changes against the default world: dt, and fields of the flock models by name."""
+    """
+    Changes against the default world: dt, and fields of the flock models by name.
+
+    controllers are options of the heuristics by name; evaluation takes them, a node is told by
+    its parameters.
+    """
 
     doc: str
     dt: float
     flock: dict[str, dict[str, Any]] = field(default_factory=dict)
+    controllers: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
 def _strombom(**changes: Any) -> dict[str, dict[str, Any]]:

@@ -1,0 +1,54 @@
+"""Verb search: which choices that the paper leaves open agree with most of its statements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from shepherd_ros.cli import UserError
+
+
+@dataclass
+class Search:
+    """
+    Search what the paper leaves open for what agrees best with its statements on the baselines.
+
+    A candidate takes a minute or two. A search that is cut off goes on with the same command.
+    """
+
+    out: Path = Path('out/search.jsonl')
+    """File of what was tried, a line each."""
+    candidates: int = 100
+    """How many to try, the default preset first."""
+    episodes: int = 12
+    """Episodes of each cell."""
+    seed: int = 0
+    """Seed of the candidates."""
+
+    def run(self) -> int:
+        """Search; print every candidate that is better than all before."""
+        from shepherd_ros.evaluation.claims import AGREES
+        from shepherd_ros.evaluation.search import CHOICES, search
+        import torch
+
+        if self.candidates < 1 or self.episodes < 2:
+            raise UserError(
+                f'--candidates is {self.candidates}, --episodes {self.episodes}: expected at '
+                'least 1 and 2'
+            )
+        torch.set_num_threads(1)
+        best = -1.0
+        for number, tried in enumerate(
+            search(self.out, self.seed, self.candidates, self.episodes), start=1
+        ):
+            if tried.score <= best:
+                continue
+            best = tried.score
+            agree = sum(verdict == AGREES for verdict in tried.verdicts.values())
+            changed = {p: v for p, v in tried.candidate.items() if v != CHOICES[p][0]}
+            print(
+                f'{number:4d}  score {best:g} of {len(tried.verdicts)}, {agree} agree: '
+                f'{changed or "the default"}',
+                flush=True,
+            )
+        return 0

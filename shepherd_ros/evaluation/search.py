@@ -1,0 +1,163 @@
+"""
+Search what the paper leaves open for the choices that agree with most of its statements.
+
+Only the baselines drive, over the points of each figure that its statements name: a statement
+about them costs seconds to check, one about a learned policy a training. Choices are drawn at
+random at first, then most are the best so far with one of them changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+import json
+from pathlib import Path
+import random
+from typing import Any
+
+import pyarrow as pa  # type: ignore[import-untyped]
+from shepherd_ros.evaluation.cells import Cell, run_cell
+from shepherd_ros.evaluation.claims import AGREES, judge, Sweep, UNDECIDED
+from shepherd_ros.evaluation.experiments import BASELINES, Experiment, EXPERIMENTS
+from shepherd_ros.evaluation.rows import Rows
+from shepherd_ros.evaluation.samples import samples_of
+from shepherd_ros.evaluation.setting import settled
+from shepherd_ros.evaluation.statements import CLAIMS
+from shepherd_ros.sim.presets import Preset, PRESETS
+
+NAME = 'candidate'  # of the preset while it is tried
+# option -> values; the first is that of the default preset
+CHOICES: dict[str, tuple[Any, ...]] = {
+    'dt': (0.5, 1.0),
+    'flock.strombom.sheep_range': (1.0, 2 / 3, 4 / 3, 2.0),
+    'flock.strombom.normalize_shepherds': (False, True),
+    'flock.reynolds.max_acceleration': (1 / 3, 1.0, 3.0),
+    'controllers.strombom.position_law': ('strombom', 'elfiqi'),
+    'controllers.strombom.interaction_range': (0.0, 2 / 3, 4 / 3, 2.0),
+    'controllers.strombom.arc_margin': (0.0, 1.5, 6.0, 10.0, 22.0),
+    'controllers.strombom.stop_range': (3.0, 0.0, 1.5, 6.0),
+    'controllers.strombom.wing_spacing': (0.0, 0.2, 0.4),
+    'controllers.pierson.lead': (2.0, 1.0, 4.0),
+    'controllers.pierson.gain': (0.05, 0.1, 0.2),
+    'controllers.pierson.min_radius': (4.0, 2.0, 8.0),
+    'controllers.pierson.spread_factor': (3.0, 2.0, 5.0),
+    'controllers.pierson.weakest_push': (0.15, 0.05, 0.4),
+    'controllers.pierson.tracking_gain': (0.0, 0.5, 1.0),
+}
+POINTS = {
+    'fig4': ('sheep', (10, 50, 100)),
+    'fig5': ('shepherds', (1, 3, 4, 6)),
+    'fractions': ('', ()),  # those of the two before
+    'fig6': ('noise', (0.0, 0.4, 0.6, 2.0)),
+    'fig7': ('repulsion', (0.5, 1.0, 3.0, 4.0)),
+    'fig8': ('sheep', (10, 50, 100)),
+}
+SHARE_NEW = 0.3  # of candidates that are drawn anew once some are known
+FIRST = 12  # candidates that all are, the default first
+
+Candidate = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A candidate, and what came of the numbers about the baselines alone."""
+
+    candidate: Candidate
+    verdicts: dict[str, str]  # by statement and number
+
+    @property
+    def score(self) -> float:
+        """Return how many numbers agree; one that is undecided counts half."""
+        worth = {AGREES: 1.0, UNDECIDED: 0.5}
+        return sum(worth.get(verdict, 0.0) for verdict in self.verdicts.values())
+
+
+def preset_of(candidate: Candidate) -> Preset:
+    """Return a candidate as a preset."""
+    parts: dict[str, dict[str, dict[str, Any]]] = {'flock': {}, 'controllers': {}}
+    for path, value in candidate.items():
+        if path != 'dt':
+            kind, name, option = path.split('.')
+            parts[kind].setdefault(name, {})[option] = value
+    return Preset('under trial', candidate['dt'], **parts)
+
+
+def short(name: str) -> Experiment:
+    """Return an experiment with the points of POINTS, in the preset under trial."""
+    whole = EXPERIMENTS[name].with_preset(NAME)
+    field, values = POINTS[name]
+    if not field:
+        known = [s for other in ('fig4', 'fig5') for s in short(other).settings]
+        return replace(whole, settings=tuple(dict.fromkeys(known)))
+    return replace(whole, settings=tuple(s for s in whole.settings if getattr(s, field) in values))
+
+
+def attempt(candidate: Candidate, episodes: int, steps: int = 1000) -> Tried:
+    """Run the baselines with a candidate's choices, and judge what the paper says of them."""
+    PRESETS[NAME] = preset_of(candidate)
+    try:
+        experiments = {name: short(name) for name in POINTS}
+        settings = dict.fromkeys(settled(s) for e in experiments.values() for s in e.settings)
+        tables = [
+            run_cell(Cell(replace(setting, steps=steps), name, 0, episodes))
+            for setting in settings
+            for name in BASELINES
+        ]
+        rows = Rows(pa.concat_tables(tables))
+        verdicts = {}
+        for claim in CLAIMS:
+            samples = samples_of(rows, experiments[claim.experiment])
+            assert samples is not None, 'all of an experiment was run'
+            for clause in claim.clauses:
+                finding = judge(clause, Sweep(samples, ''))
+                if not finding.reason:  # else it needs a policy
+                    key = f'{claim.experiment}: {claim.statement}: {clause.text}'
+                    verdicts[key] = finding.verdict
+        return Tried(candidate, verdicts)
+    finally:
+        del PRESETS[NAME]
+
+
+def proposals(seed: int, known: list[Tried]) -> Iterator[Candidate]:
+    """Yield candidates without end, none twice; known grows meanwhile."""
+    draw = random.Random(seed)
+    seen: list[Candidate] = []
+    while True:
+        if not seen:
+            candidate = {path: values[0] for path, values in CHOICES.items()}
+        elif len(seen) < FIRST or draw.random() < SHARE_NEW:
+            candidate = {path: draw.choice(values) for path, values in CHOICES.items()}
+        else:
+            best = max(known, key=lambda tried: tried.score).candidate
+            path = draw.choice(list(CHOICES))
+            candidate = best | {path: draw.choice(CHOICES[path])}
+        if candidate not in seen:
+            seen.append(candidate)
+            yield candidate
+
+
+def read_tried(path: Path) -> list[Tried]:
+    """Return what a file holds, a line each; nothing if it is not there."""
+    if not path.exists():
+        return []
+    lines = path.read_text(encoding='utf-8').splitlines()
+    return [Tried(**json.loads(line)) for line in lines]
+
+
+def search(path: Path, seed: int, count: int, episodes: int, steps: int = 1000) -> Iterator[Tried]:
+    """Try candidates until the file holds so many; yield each, the old ones too."""
+    old = read_tried(path)
+    known: list[Tried] = []
+    source = proposals(seed, known)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    while len(known) < count:
+        candidate = next(source)
+        if len(known) < len(old):
+            tried = old[len(known)]
+        else:
+            tried = attempt(candidate, episodes, steps)
+            with path.open('a', encoding='utf-8') as file:
+                line = {'candidate': tried.candidate, 'verdicts': tried.verdicts}
+                file.write(json.dumps(line) + '\n')
+        known.append(tried)
+        yield tried

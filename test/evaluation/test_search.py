@@ -1,0 +1,84 @@
+"""The search of choices: what is tried is what is said, and it goes on where it was cut off."""
+
+from __future__ import annotations
+
+from itertools import islice
+import json
+from pathlib import Path
+
+import pytest
+from shepherd_ros.cli import main
+from shepherd_ros.evaluation.claims import AGREES, DISAGREES, UNDECIDED
+from shepherd_ros.evaluation.methods import make_method
+from shepherd_ros.evaluation.search import (
+    attempt,
+    CHOICES,
+    NAME,
+    POINTS,
+    preset_of,
+    proposals,
+    search,
+    short,
+    Tried,
+)
+from shepherd_ros.evaluation.setting import env_config, Setting
+from shepherd_ros.sim.presets import PRESETS, world_preset
+
+DEFAULT = {path: values[0] for path, values in CHOICES.items()}
+OTHER = {path: values[-1] for path, values in CHOICES.items()}
+
+
+def test_the_first_candidate_is_the_default_preset(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert next(proposals(0, [])) == DEFAULT
+    monkeypatch.setitem(PRESETS, NAME, preset_of(DEFAULT))
+    for flock in ('strombom', 'reynolds'):
+        assert world_preset(NAME, flock) == world_preset('default', flock)
+        for name in ('strombom', 'pierson'):
+            mine = make_method(name, Setting(preset=NAME, flock=flock))
+            assert mine.config == make_method(name, Setting(flock=flock)).config
+
+
+def test_every_choice_arrives_where_it_belongs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(PRESETS, NAME, preset_of(OTHER))
+    for path, value in OTHER.items():
+        kind, _, rest = path.partition('.')
+        name, _, option = rest.partition('.')
+        if kind == 'dt':
+            assert env_config(Setting(preset=NAME)).world.dt == value
+        elif kind == 'flock':
+            flock = env_config(Setting(preset=NAME, flock=name)).world.flock
+            assert getattr(flock, option) == value
+        else:
+            assert getattr(make_method(name, Setting(preset=NAME)).config, option) == value
+
+
+def test_the_points_are_those_of_the_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(PRESETS, NAME, preset_of(DEFAULT))
+    for name, (field, values) in POINTS.items():
+        if field:
+            assert {getattr(s, field) for s in short(name).settings} == set(values), name
+
+
+def test_an_undecided_number_counts_half() -> None:
+    assert Tried({}, {'a': AGREES, 'b': UNDECIDED, 'c': DISAGREES, 'd': AGREES}).score == 2.5
+
+
+def test_a_search_that_is_cut_off_goes_on_with_the_same_candidates(tmp_path: Path) -> None:
+    whole = list(search(tmp_path / 'whole', 3, 3, 2, steps=2))
+    list(islice(search(tmp_path / 'cut', 3, 3, 2, steps=2), 1))
+    assert len((tmp_path / 'cut').read_text().splitlines()) == 1
+    assert list(search(tmp_path / 'cut', 3, 3, 2, steps=2)) == whole
+    assert (tmp_path / 'cut').read_text() == (tmp_path / 'whole').read_text()
+    assert len({json.dumps(tried.candidate) for tried in whole}) == 3
+    assert NAME not in PRESETS
+
+
+def test_only_numbers_about_the_baselines_are_judged() -> None:
+    tried = attempt(DEFAULT, 2, steps=2)
+    assert len(tried.verdicts) == 17
+    assert not any(' RL' in text.rpartition(': ')[2] for text in tried.verdicts)
+
+
+def test_a_mistake_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['search', '--candidates', '0', '--out', str(tmp_path / 'x')]) == 2
+    assert '--candidates is 0' in capsys.readouterr().err
