@@ -267,7 +267,7 @@ def test_only_a_policy_trained_as_the_papers_counts() -> None:
 @pytest.mark.parametrize(
     ('name', 'flocks', 'critic'),
     [('imitation', {'strombom'}, False), ('strombom', {'strombom'}, True),
-     ('reynolds', {'reynolds'}, True)],
+     ('reynolds', {'reynolds'}, True), ('general', {'strombom', 'reynolds'}, False)],
 )  # fmt: skip
 def test_what_a_shipped_policy_was_trained_on(name: str, flocks: set[str], critic: bool) -> None:
     assert trained_on(f'policy:{name}') == flocks
