@@ -1,4 +1,4 @@
-"""Verbs checkpoint info, random and export."""
+"""Verbs checkpoint info, card, random and export."""
 
 from __future__ import annotations
 
@@ -52,6 +52,23 @@ class Info:
 
 
 @dataclass
+class Card:
+    """Print the model card of a checkpoint, in Markdown."""
+
+    checkpoint: CheckpointName
+    """A file, or the name of a shipped one."""
+
+    def run(self) -> int:
+        """Print it."""
+        from shepherd_ros.policy.card import card
+        from shepherd_ros.policy.checkpoint import checkpoint_file, load_policy, read_metadata
+
+        path = checkpoint_file(self.checkpoint)
+        print(card(path.stem, load_policy(self.checkpoint), read_metadata(path)[1]), end='')
+        return 0
+
+
+@dataclass
 class RandomWeights:
     """Write a checkpoint with random weights, to try the nodes before anything is trained."""
 
@@ -100,6 +117,7 @@ class Export:
 
 Verb = (
     Annotated[Info, tyro.conf.subcommand('info')]
+    | Annotated[Card, tyro.conf.subcommand('card')]
     | Annotated[RandomWeights, tyro.conf.subcommand('random')]
     | Annotated[Export, tyro.conf.subcommand('export')]
 )

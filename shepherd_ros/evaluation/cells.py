@@ -38,9 +38,8 @@ class Cell:
     def cost(self) -> float:
         """Return about how long it takes [s] on one core; only for the time that is left."""
         n, m = self.setting.sheep, self.setting.shepherds
-        flock = 0.09 * n * n if n > 91 and self.setting.flock == 'strombom' else 3.0 * n
-        flock = min(flock, 3.0 * n) if n <= 100 else flock
-        policy = 700.0 * m if self.controller.startswith('policy') else 50.0
+        flock = 2.0 * n if n <= 118 else 9.0 * n  # from there on on a grid
+        policy = 250.0 * m if self.controller.startswith('policy') else 50.0
         return 1e-6 * (100.0 + flock + policy) * self.count * self.setting.steps
 
 

@@ -10,7 +10,14 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
-from shepherd_ros.policy.checkpoint import load_policy, read_metadata, save_policy
+from shepherd_ros.policy.card import card
+from shepherd_ros.policy.checkpoint import (
+    checkpoint_file,
+    load_policy,
+    read_metadata,
+    save_policy,
+    shipped_checkpoints,
+)
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.lidar import LidarConfig
@@ -117,3 +124,33 @@ def test_what_a_terminal_or_a_reader_cannot_bear_is_not_shown(
     path = changed(checkpoint, tmp_path / 'long.safetensors', config=config)
     assert main(['checkpoint', 'info', str(path)]) == 2
     assert len(capsys.readouterr().err) < 1000
+
+
+def test_the_cards_are_those_of_the_checkpoints() -> None:
+    cards = Path(__file__).parents[2] / 'docs' / 'checkpoints'
+    assert sorted(path.stem for path in cards.glob('*.md')) == sorted(shipped_checkpoints())
+    for name in shipped_checkpoints():
+        record = read_metadata(checkpoint_file(name))[1]
+        expected = card(name, load_policy(name), record)
+        assert (cards / f'{name}.md').read_text() == expected, 'run scripts/write_cards.py'
+        for key in ('command', 'seed', 'wall_time_s', 'code'):
+            assert key in record
+
+
+@pytest.mark.parametrize(
+    'record',
+    [
+        {},
+        {'command': '\x1b[2J', 'note': '`|`', 'judged': 3, 'progress': [], 'config': 'x'},
+        {'judged': {'return': 'x'}, 'progress': {'samples': 'y'}, 'config': {'run': 7}},
+    ],
+)
+def test_a_card_of_an_odd_record_is_still_one(
+    record: dict[str, object], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / 'odd.safetensors'
+    save_policy(path, Policy(SMALL), record)
+    assert main(['checkpoint', 'card', str(path)]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith('# Checkpoint `odd`')
+    assert '\x1b' not in text

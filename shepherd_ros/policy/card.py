@@ -1,0 +1,86 @@
+"""The model card of a checkpoint: all that its file says about itself, for people to read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from shepherd_ros.policy.policy import Policy
+
+JUDGED = {  # what training has measured: title and unit
+    'completed': 'episodes in which the flock came home',
+    'completion_time': 'completion time [steps]',
+    'fraction_reached': 'fraction reached',
+    'fraction_in_goal': 'in goal at the end',
+    'shepherd_path_length': 'shepherd path [m]',
+    'flock_spread': 'flock spread [m]',
+    'return': 'return',
+}
+MADE = {'seed': 'seed', 'wall_time_s': 'wall time [s]', 'machine': 'machine', 'code': 'commit',
+        'version': 'version', 'torch': 'torch', 'note': 'note'}  # fmt: skip
+LONGEST = 2000  # characters of one thing that a file says
+
+
+def card(name: str, policy: Policy, record: Mapping[str, Any]) -> str:
+    """Return the card in Markdown; what a record does not say is left out."""
+    config = policy.config
+    sees, network = config.observation, config.network
+    actor = sum(p.numel() for p in policy.actor.parameters())
+    lines = [f'# Checkpoint `{name}`', '', '## How it was made', '']
+    commands = said(record.get('command', 'the checkpoint does not say')).split(' && ')
+    lines += ['```bash', *commands, '```', '']
+    lines += [f'- {title}: {said(record[key])}' for key, title in MADE.items() if key in record]
+    progress = record.get('progress')
+    if isinstance(progress, Mapping) and isinstance(progress.get('samples'), int):
+        lines.append(f'- kept at {progress["samples"]:,} samples of its last run')
+    lines += [
+        '',
+        '## What it is',
+        '',
+        f'- one lidar of {config.lidar.n_rays} rays and three channels, up to '
+        f'{config.lidar.range_max:g} m',
+        f'- {sees.n_frames} frames, {sees.spacing} steps of {config.dt:g} s apart; layout '
+        f'{sees.layout}, first ray toward the {sees.align}, ranges in units of '
+        f'{sees.unit or config.lidar.range_max:g} m',
+        f'- {network.filters_1} and {network.filters_2} filters, {network.hidden} units, '
+        f'{network.padding} padding: {actor:,} weights of the actor, as many but a few of the '
+        'critic',
+        f'- an action is held for {config.repeat} step{"s" if config.repeat > 1 else ""}',
+        '',
+    ]
+    lines += judged(record.get('judged'))
+    lines += trained_for(record.get('config'))
+    return '\n'.join(lines).rstrip() + '\n'
+
+
+def said(value: object) -> str:
+    """Return what a file says as text that neither a terminal nor Markdown takes for more."""
+    text = str(value)[:LONGEST]
+    return (text if text.isprintable() else ascii(text)).replace('`', "'").replace('|', '/')
+
+
+def judged(results: Any) -> list[str]:
+    """Return what training measured on the starts that it chose the checkpoint on."""
+    if not isinstance(results, Mapping):
+        return []
+    head = [
+        '## What training measured',
+        '',
+        'On the starts that it was chosen on, which flatters:',
+    ]
+    rows = [
+        f'| {title} | {results[key]:.4g} |'
+        for key, title in JUDGED.items()
+        if isinstance(results.get(key), int | float)
+    ]
+    return [*head, '', '| | mean |', '|---|--:|', *rows, '']
+
+
+def trained_for(config: Any) -> list[str]:
+    """Return the worlds of its training."""
+    run = config.get('run') if isinstance(config, Mapping) else None
+    task = run.get('task') if isinstance(run, Mapping) else None
+    if not isinstance(task, Mapping):
+        return []
+    rows = [f'| {said(key)} | {said(value)} |' for key, value in task.items()]
+    return ['## Worlds of its training', '', '| | |', '|---|--:|', *rows, '']
