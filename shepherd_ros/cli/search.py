@@ -13,7 +13,7 @@ class Search:
     """
     Search what the paper leaves open for what agrees best with its statements on the baselines.
 
-    A candidate takes a minute or two. A search that is cut off goes on with the same command.
+    A candidate takes minutes. A search that is cut off goes on with the same command.
     """
 
     out: Path = Path('out/search.jsonl')

@@ -101,7 +101,6 @@ class PolicyNode(ShepherdNode):
 
     def on_scans(self, ns: int, ranges: dict[int, np.ndarray]) -> None:
         """Answer the scans of a stamp; the same stamp again gets the same answer."""
-        n_rays = self.policy.config.lidar.n_rays
         begun, self.heard, self.stale = perf_counter(), self.wall(), False
         episode = self.episode
         if episode is None or not episode.has(ns):
@@ -109,7 +108,8 @@ class PolicyNode(ShepherdNode):
         if self.last is None or ns != self.last[0]:
             if self.last is None or ns < self.last[0]:
                 self.memory = pilot.begin(self.policy, (), len(self.present))
-                self.newest = torch.full((len(self.present), 3, n_rays), torch.inf)
+                shape = (len(self.present), 3, self.policy.config.lidar.n_rays)
+                self.newest = torch.full(shape, torch.inf)
             self.last = (ns, self._decide(ns, ranges, episode))
         self._publish(*self.last)
         self.answers += 1
