@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 import ctypes
 from dataclasses import dataclass, field
+import faulthandler
 from functools import cache
 from itertools import pairwise
 import json
@@ -18,7 +19,7 @@ import os
 from pathlib import Path
 import re
 import runpy
-from signal import SIGINT, SIGKILL, Signals
+from signal import SIGINT, SIGKILL, Signals, SIGUSR1
 import struct
 import sys
 import time
@@ -113,6 +114,7 @@ def _run(path: Path, words: list[str], output: Path, domain: int, fresh: bool) -
     os.environ['ROS_DOMAIN_ID'] = str(domain)
     if fresh:
         os.execv(path, [str(path), *words])
+    faulthandler.register(SIGUSR1)
     sys.argv = [str(path), *words]
     runpy.run_path(str(path), run_name='__main__')
 
@@ -124,7 +126,7 @@ class Process:
         self, executable: str, words: list[str], output: Path, domain: int, fresh: bool
     ) -> None:
         """Start it."""
-        self.executable, self.output = executable, output
+        self.executable, self.output, self.fresh = executable, output, fresh
         output.touch()
         self._process = FORKS.Process(
             target=_run, args=(BIN / executable, words, output, domain, fresh), daemon=True
@@ -164,6 +166,9 @@ class Process:
     def wait(self, seconds: float = DEADLINE) -> int:
         """Return its exit code once it has ended."""
         self._process.join(seconds)
+        if self.code is None and not self.fresh:  # where it hangs comes into its text
+            self.send(SIGUSR1)
+            self._process.join(1.0)
         assert self.code is not None, f'did not end within {seconds} s: {self}'
         return self.code
 

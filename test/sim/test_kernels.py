@@ -116,7 +116,7 @@ def test_a_compiled_controller_answers_a_world_of_a_batch_as_it_does_that_world_
 
 
 @pytest.mark.parametrize('shape', ['disc', 'two groups', 'a stray', 'a line', 'one point'])
-@pytest.mark.parametrize('n_sheep', [140, 700])
+@pytest.mark.parametrize('n_sheep', [140, 1600])
 @pytest.mark.parametrize(
     'flock', [StrombomFlock(n_neighbors=30, sheep_range=2.5), StrombomFlock(), ReynoldsFlock()]
 )

@@ -12,12 +12,13 @@ import math
 
 import numpy as np
 from shepherd_ros.sim.kernels import compiled
+from shepherd_ros.sim.kernels.nearest import squares_of
 
 CROWD = 16.0  # sheep in the cell of a sheep that are aimed at
 WIDE = np.float32(2.5)  # standard deviations of the flock that the grid reaches to each side
 MANY = 4  # cells at most, in numbers of sheep
+_SHARE = 3  # of the flock that is left out at least: all but one in so many
 FINER = 6  # times that cells are made smaller where sheep crowd in few of them
-_ZERO = np.float32(0)
 
 
 @compiled
@@ -108,106 +109,69 @@ def nothing():
 
 
 @compiled
-def ring(i, around, grid, found, candidates):
+def leaves_out(reach, grid):
+    """Return whether within() leaves out most of the flock, so that it pays."""
+    side, nx, ny = grid[0], grid[1], grid[2]
+    cells = 2 * int(reach / side) + 3
+    return _SHARE * cells * cells <= nx * ny
+
+
+@compiled
+def ring(i, far, grid, found, candidates):
     """
-    Add the sheep in the cells exactly `around` cells from that of sheep i to candidates.
+    Add the sheep in the cells exactly `far` cells from that of sheep i to candidates.
 
     Return how many candidates there are then, and whether the grid ends within the ring.
     """
     _, nx, ny, cell, start, members = grid
     column, row = cell[i] % nx, cell[i] // nx
     inside = False
-    for y in range(row - around, row + around + 1):
+    for y in range(row - far, row + far + 1):
         if y < 0 or y >= ny:
             continue
-        edge = y == row - around or y == row + around
-        x = column - around
-        while x <= column + around:
+        edge = y == row - far or y == row + far
+        x = column - far
+        while x <= column + far:
             if 0 <= x < nx:
                 inside = True
                 c = y * nx + x
                 for k in range(start[c], start[c + 1]):
                     candidates[found] = members[k]
                     found += 1
-            x += 1 if edge or around == 0 else 2 * around
+            x += 1 if edge or far == 0 else 2 * far
     return found, not inside
 
 
 @compiled
-def within(i, reach, grid, candidates):
-    """Return how many candidates hold all sheep nearer to sheep i than reach [m], and others."""
-    side = grid[0]
-    found, around = 0, 0
+def within(i, reach, grid, who):
+    """Write all sheep nearer to sheep i than reach [m], and others, into who; return how many."""
+    found, rings = 0, 0
     while True:
-        found, ended = ring(i, around, grid, found, candidates)
-        if ended or around * side >= reach:
+        found, ended = ring(i, rings, grid, found, who)
+        if ended or rings * grid[0] >= reach:
             return found
-        around += 1
+        rings += 1
 
 
 @compiled
-def _before(squared, who, other_squared, other):
-    """Return whether a sheep comes before another one; at the same distance, the later does."""
-    return squared < other_squared or (squared == other_squared and who > other)
+def around(i, xs, ys, keep, grid, who, squared):
+    """
+    Write sheep among which are the keep nearest to sheep i into who; return how many.
 
-
-@compiled
-def _select(keep, count, squared, index):
-    """Reorder sheep so that the keep nearest come first (Hoare 1961)."""
-    low, high = 0, count - 1
-    while low < high:
-        pivot, who = squared[(low + high) // 2], index[(low + high) // 2]
-        i, j = low, high
-        while i <= j:
-            while _before(squared[i], index[i], pivot, who):
-                i += 1
-            while _before(pivot, who, squared[j], index[j]):
-                j -= 1
-            if i <= j:
-                squared[i], squared[j] = squared[j], squared[i]
-                index[i], index[j] = index[j], index[i]
-                i += 1
-                j -= 1
-        if keep - 1 <= j:
-            high = j
-        elif keep - 1 >= i:
-            low = i
-        else:
-            return
-
-
-@compiled
-def sum_of_nearest(i, sheep, near, keep, grid, candidates, squared):
-    """Return the sum of near (N, 2) over the keep sheep nearest to sheep i."""
-    side = grid[0]
-    done, found, around = 0, 0, 0
+    Their squared distances [m^2] come into squared.
+    """
+    done, found, rings = 0, 0, 0
     while True:
-        found, ended = ring(i, around, grid, found, candidates)
-        sure = 0
-        limit = (around * side) ** 2  # nobody in a farther ring is nearer
-        k = done
-        while k < found:
-            j = candidates[k]
-            if j == i:
-                found -= 1
-                candidates[k] = candidates[found]
-                continue
-            dx, dy = sheep[i, 0] - sheep[j, 0], sheep[i, 1] - sheep[j, 1]
-            squared[k] = dx * dx + dy * dy
-            k += 1
+        found, ended = ring(i, rings, grid, found, who)
+        squares_of(i, xs, ys, who[done:], found - done, squared[done:])
         done = found
         if ended:
-            break
-        if found >= keep:
+            return found
+        if found > keep:  # nobody in a farther ring is nearer than the rings reach
+            sure = 0
+            limit = (rings * grid[0]) ** 2
             for k in range(found):
                 sure += squared[k] <= limit
             if sure >= keep:
-                break
-        around += 1
-    if found > keep:
-        _select(keep, found, squared, candidates)
-    sum_x, sum_y = _ZERO, _ZERO
-    for k in range(min(keep, found)):
-        sum_x += near[candidates[k], 0]
-        sum_y += near[candidates[k], 1]
-    return sum_x, sum_y
+                return found
+        rings += 1

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 from shepherd_ros.sim.kernels import compiled, flat
-from shepherd_ros.sim.kernels.grid import build, nothing, within
+from shepherd_ros.sim.kernels.grid import build, leaves_out, nothing, within
+from shepherd_ros.sim.kernels.nearest import below, in_reach, squares, squares_of
 from shepherd_ros.sim.kernels.vectors import length, unit
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import EPSILON
@@ -16,70 +17,38 @@ from torch import Tensor
 
 _EPSILON = np.float32(EPSILON)
 _ZERO, _ONE = np.float32(0), np.float32(1)
-_LARGE = 600  # flocks from this size on are put on a grid
+_LARGE = 600  # flocks from this size on are put on a grid, if that leaves many out
 _TINY = np.float32(0.01)  # of a term: sim.flocking.reynolds.TINY
 
 
 @compiled
-def _fear(x, y, others, mask, view, nearest, me):
-    """Return the sum of offsets over squared distance from the others in view, me left out."""
-    sum_x, sum_y = _ZERO, _ZERO
-    for k in range(others.shape[0]):
-        dx, dy = x - others[k, 0], y - others[k, 1]
-        squared = dx * dx + dy * dy
-        if squared < view * view and mask[k] and k != me:
-            inverse = _ONE / max(squared, nearest * nearest)
-            sum_x += dx * inverse
-            sum_y += dy * inverse
-    return sum_x, sum_y
-
-
-@compiled
-def _seen(i, sheep, heading, mask, view):
-    """Return how many sheep sheep i sees, and the sums of offsets to them and of headings."""
-    count = 0
-    sum_x, sum_y, turn_x, turn_y = _ZERO, _ZERO, _ZERO, _ZERO
-    for j in range(sheep.shape[0]):
-        dx, dy = sheep[i, 0] - sheep[j, 0], sheep[i, 1] - sheep[j, 1]
-        if j != i and mask[j] and dx * dx + dy * dy < view * view:
-            count += 1
-            sum_x -= dx
-            sum_y -= dy
-            turn_x += heading[j, 0]
-            turn_y += heading[j, 1]
-    return count, sum_x, sum_y, turn_x, turn_y
-
-
-@compiled
-def _seen_by(i, sheep, heading, candidates, many, view):
-    """Return _seen() of those sheep that are candidates."""
-    count = 0
-    sum_x, sum_y, turn_x, turn_y = _ZERO, _ZERO, _ZERO, _ZERO
-    for m in range(many):
-        j = candidates[m]
-        dx, dy = sheep[i, 0] - sheep[j, 0], sheep[i, 1] - sheep[j, 1]
-        if j != i and dx * dx + dy * dy < view * view:
-            count += 1
-            sum_x -= dx
-            sum_y -= dy
-            turn_x += heading[j, 0]
-            turn_y += heading[j, 1]
-    return count, sum_x, sum_y, turn_x, turn_y
-
-
-@compiled
-def _fear_by(x, y, others, candidates, count, view, nearest, me):
-    """Return _fear() of those of the others that are candidates."""
+def _fear(x, y, others, chosen, count, nearest):
+    """Return the sum of offsets over squared distance from the chosen of the others (K, 2) m."""
     sum_x, sum_y = _ZERO, _ZERO
     for m in range(count):
-        k = candidates[m]
+        k = chosen[m]
         dx, dy = x - others[k, 0], y - others[k, 1]
-        squared = dx * dx + dy * dy
-        if squared < view * view and k != me:
-            inverse = _ONE / max(squared, nearest * nearest)
-            sum_x += dx * inverse
-            sum_y += dy * inverse
+        inverse = _ONE / max(dx * dx + dy * dy, nearest * nearest)
+        sum_x += dx * inverse
+        sum_y += dy * inverse
     return sum_x, sum_y
+
+
+@compiled
+def _flockmates(x, y, sheep, heading, chosen, count, nearest):
+    """Return the sums over the chosen sheep of offsets to them, of headings, and _fear()."""
+    sum_x, sum_y, turn_x, turn_y, away_x, away_y = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+    for m in range(count):
+        j = chosen[m]
+        dx, dy = x - sheep[j, 0], y - sheep[j, 1]
+        inverse = _ONE / max(dx * dx + dy * dy, nearest * nearest)
+        sum_x -= dx
+        sum_y -= dy
+        turn_x += heading[j, 0]
+        turn_y += heading[j, 1]
+        away_x += dx * inverse
+        away_y += dy * inverse
+    return sum_x, sum_y, turn_x, turn_y, away_x, away_y
 
 
 @compiled
@@ -95,28 +64,30 @@ def _reynolds(
     nearest, speed, dt, new_sheep, new_heading,
 ):  # fmt: skip
     n = sheep.shape[1]
-    large = n >= _LARGE
-    candidates = np.empty(n, np.int64)
+    xs, ys, squared = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
+    chosen, some, who = np.empty(n, np.int64), np.empty(n, np.int64), np.arange(n)
+    noticed = np.empty(shepherds.shape[1], np.int64)
     for b in range(sheep.shape[0]):
-        grid = build(sheep[b], mask[b]) if large else nothing()
-        met = 0
+        for j in range(n):
+            xs[j], ys[j] = sheep[b, j, 0], sheep[b, j, 1]
+        grid = build(sheep[b], mask[b]) if n >= _LARGE else nothing()
+        large = leaves_out(view, grid)
         for i in range(n):
-            x, y = sheep[b, i, 0], sheep[b, i, 1]
+            x, y = xs[i], ys[i]
             if large:
-                met = within(i, view, grid, candidates)
-                count, sum_x, sum_y, turn_x, turn_y = _seen_by(
-                    i, sheep[b], heading[b], candidates, met, view
-                )
+                found = within(i, view, grid, some)
+                squares_of(i, xs, ys, some, found, squared)
+                count = below(view * view, found, squared, some, chosen)
             else:
-                count, sum_x, sum_y, turn_x, turn_y = _seen(i, sheep[b], heading[b], mask[b], view)
+                squares(i, xs, ys, mask[b], squared)
+                count = below(view * view, n, squared, who, chosen)
             u, v = heading[b, i, 0] * speed, heading[b, i, 1] * speed
             force_x, force_y = _ZERO, _ZERO
             if count > 0:
                 others = np.float32(count)
-                if large:
-                    apart_x, apart_y = _fear_by(x, y, sheep[b], candidates, met, view, nearest, i)
-                else:
-                    apart_x, apart_y = _fear(x, y, sheep[b], mask[b], view, nearest, i)
+                sum_x, sum_y, turn_x, turn_y, apart_x, apart_y = _flockmates(
+                    x, y, sheep[b], heading[b], chosen, count, nearest
+                )
                 to_x, to_y = sum_x / others, sum_y / others
                 along_x, along_y = turn_x / others * speed - u, turn_y / others * speed - v
                 if directions:
@@ -127,7 +98,8 @@ def _reynolds(
                     along_x, along_y = mean_x - own_x, mean_y - own_y
                 force_x = w_s * apart_x + w_v * along_x + w_c * to_x
                 force_y = w_s * apart_y + w_v * along_y + w_c * to_y
-            away_x, away_y = _fear(x, y, shepherds[b], shepherd_mask[b], view, nearest, -1)
+            met = in_reach(x, y, shepherds[b], shepherd_mask[b], view, noticed)
+            away_x, away_y = _fear(x, y, shepherds[b], noticed, met, nearest)
             if directions:
                 away_x, away_y = _direction(away_x, away_y)
             force_x, force_y = force_x + w_f * away_x, force_y + w_f * away_y
