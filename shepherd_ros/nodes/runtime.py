@@ -8,6 +8,7 @@ import os
 import re
 import signal
 import sys
+from threading import Timer
 from typing import Any
 
 import rclpy
@@ -24,6 +25,7 @@ from shepherd_ros.nodes.parameters import warn_of_unknown
 
 USER_MISTAKE = 2
 LOOK = 0.1  # [s] after which a signal is seen at the latest
+LET_GO = 10.0  # [s] that DDS has to let go when all work is done
 
 
 def make_executor(kind: str, context: Any = None) -> Executor:
@@ -95,6 +97,7 @@ def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, frame: came.append(number))
     nodes: list[ShepherdNode] = []
+    code = USER_MISTAKE
     try:
         words = remove_ros_args(sys.argv)[1:]
         if options is not None:
@@ -116,21 +119,33 @@ def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None)
             for node in nodes:
                 warn_of_unknown(node)
             spin(nodes, until=lambda: nodes[0].finished or bool(came))
-            return nodes[0].end()
+        code = 0 if words else nodes[0].end()
     except (ConfigError, ParameterException) as error:
         print(f'{name}: {error}', file=sys.stderr)
-        return USER_MISTAKE
     except Exception as error:
         mistake = rcl_mistake(error)
         if mistake is None:
             raise
         print(f'{name}: {mistake}', file=sys.stderr)
-        return USER_MISTAKE
     finally:
-        for node in nodes:
-            node.destroy_node()
-        rclpy.try_shutdown()
-    return 0
+        leave(nodes, name, code)
+    return code
+
+
+def leave(nodes: Sequence[ShepherdNode], name: str, code: int) -> None:
+    """End nodes and context; where DDS does not let go, end the process with its exit code."""
+
+    def give_up() -> None:
+        os.write(2, f'{name}: DDS did not let go within {LET_GO:g} s: left it\n'.encode())
+        os._exit(code)
+
+    timer = Timer(LET_GO, give_up)
+    timer.daemon = True
+    timer.start()
+    for node in nodes:
+        node.destroy_node()
+    rclpy.try_shutdown()
+    timer.cancel()
 
 
 def from_words(options: Any, name: str, words: list[str]) -> Any:

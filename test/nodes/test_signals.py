@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from signal import SIGINT, Signals, SIGTERM
 import subprocess
+import sys
 
 from nodes.process import BIN, EXECUTABLES, Graph, LATCHED, Process
 import pytest
 from rclpy.parameter import parameter_value_to_python
 from std_msgs.msg import String
 
+LEFT = 'DDS did not let go within 10 s: left it\n'
 STACK = ('flock_sim', 'lidar', 'metrics', 'strombom')
 
 
@@ -42,7 +44,7 @@ def test_every_executable_ends_with_zero_on_a_signal_while_it_waits(
         process.send(*signals)
     for process in processes.values():
         assert_clean_end(process)
-        assert process.text == ''
+        assert process.text in ('', f'{process.executable}: {LEFT}')
 
 
 @pytest.mark.parametrize(
@@ -111,6 +113,22 @@ def test_a_signal_ends_a_node_whose_partner_is_stopped(graph: Graph) -> None:
     graph.start('strombom', shepherd_ids=[0])
     graph.until_says(sim, 'waiting at')
     assert sim.stop(SIGINT) == 0
+
+
+def test_a_node_that_dds_does_not_let_go_is_left_with_its_exit_code() -> None:
+    code = (
+        'import time\n'
+        'from shepherd_ros.nodes import runtime\n'
+        'class Stuck:\n'
+        '    def destroy_node(self): time.sleep(60)\n'
+        'runtime.LET_GO = 0.1\n'
+        "runtime.leave([Stuck()], 'lidar', 3)\n"
+    )
+    child = subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True, timeout=50
+    )
+    assert child.returncode == 3
+    assert child.stderr == 'lidar: DDS did not let go within 0.1 s: left it\n'
 
 
 # --- help ---------------------------------------------------------------------------------------
