@@ -28,7 +28,7 @@ from shepherd_ros.sim.presets import Preset, PRESETS
 NAME = 'candidate'  # of the preset while it is tried
 # option -> values; the first is that of the default preset
 CHOICES: dict[str, tuple[Any, ...]] = {
-    'dt': (0.5, 1.0),
+    'dt': (0.5,),  # that of the policies, which have to hold with the same choices
     'flock.strombom.sheep_range': (1.0, 2 / 3, 4 / 3, 2.0),
     'flock.strombom.normalize_shepherds': (False, True),
     'flock.reynolds.max_acceleration': (1 / 3, 1.0, 3.0),
@@ -56,6 +56,7 @@ SHARE_NEW = 0.3  # of candidates that are drawn anew once some are known
 FIRST = 12  # candidates that all are, the default first
 
 Candidate = dict[str, Any]
+Known = dict[str, pa.Table]  # rows of cells by what decides them
 
 
 @dataclass(frozen=True)
@@ -92,17 +93,27 @@ def short(name: str) -> Experiment:
     return replace(whole, settings=tuple(s for s in whole.settings if getattr(s, field) in values))
 
 
-def attempt(candidate: Candidate, episodes: int, steps: int = 1000) -> Tried:
-    """Run the baselines with a candidate's choices, and judge what the paper says of them."""
+def attempt(
+    candidate: Candidate, episodes: int, steps: int = 1000, known: Known | None = None
+) -> Tried:
+    """
+    Run the baselines with a candidate's choices, and judge what the paper says of them.
+
+    Cells that known holds are not run again; those that are run are put there.
+    """
     PRESETS[NAME] = preset_of(candidate)
+    known = {} if known is None else known
     try:
         experiments = {name: short(name) for name in POINTS}
         settings = dict.fromkeys(settled(s) for e in experiments.values() for s in e.settings)
-        tables = [
-            run_cell(Cell(replace(setting, steps=steps), name, 0, episodes))
-            for setting in settings
-            for name in BASELINES
-        ]
+        tables = []
+        for setting in settings:
+            for name in BASELINES:
+                cell = Cell(replace(setting, steps=steps), name, 0, episodes)
+                key = json.dumps(cell.config())  # without the name of the preset
+                if key not in known:
+                    known[key] = run_cell(cell)
+                tables.append(known[key])
         rows = Rows(pa.concat_tables(tables))
         verdicts = {}
         for claim in CLAIMS:
@@ -148,6 +159,7 @@ def search(path: Path, seed: int, count: int, episodes: int, steps: int = 1000) 
     """Try candidates until the file holds so many; yield each, the old ones too."""
     old = read_tried(path)
     known: list[Tried] = []
+    cells: Known = {}
     source = proposals(seed, known)
     path.parent.mkdir(parents=True, exist_ok=True)
     while len(known) < count:
@@ -155,7 +167,7 @@ def search(path: Path, seed: int, count: int, episodes: int, steps: int = 1000) 
         if len(known) < len(old):
             tried = old[len(known)]
         else:
-            tried = attempt(candidate, episodes, steps)
+            tried = attempt(candidate, episodes, steps, cells)
             with path.open('a', encoding='utf-8') as file:
                 line = {'candidate': tried.candidate, 'verdicts': tried.verdicts}
                 file.write(json.dumps(line) + '\n')

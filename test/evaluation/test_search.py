@@ -13,6 +13,7 @@ from shepherd_ros.evaluation.methods import make_method
 from shepherd_ros.evaluation.search import (
     attempt,
     CHOICES,
+    Known,
     NAME,
     POINTS,
     preset_of,
@@ -77,6 +78,17 @@ def test_only_numbers_about_the_baselines_are_judged() -> None:
     tried = attempt(DEFAULT, 2, steps=2)
     assert len(tried.verdicts) == 17
     assert not any(' RL' in text.rpartition(': ')[2] for text in tried.verdicts)
+
+
+def test_only_cells_that_a_choice_changes_are_run_again() -> None:
+    cells: Known = {}
+    attempt(DEFAULT, 2, steps=2, known=cells)
+    before = len(cells)
+    changed = DEFAULT | {'controllers.pierson.lead': 4.0}
+    tried = attempt(changed, 2, steps=2, known=cells)
+    assert before % 2 == 0
+    assert len(cells) == before + before // 2  # those of one of two controllers
+    assert tried == attempt(changed, 2, steps=2)
 
 
 def test_a_mistake_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
