@@ -61,7 +61,7 @@ def main() -> None:
     parser.add_argument('--seconds', type=float, default=1.5, help='per number')
     parser.add_argument('--threads', type=int, default=1)
     parser.add_argument('--worlds', type=int, nargs='+', default=[1, 64, 512])
-    parser.add_argument('--device', default='cpu', help='cpu or cuda (plain form)')
+    parser.add_argument('--device', default='cpu', help='cpu, or cuda (compiled by torch)')
     parser.add_argument('--json', default='')
     options = parser.parse_args()
     torch.set_num_threads(options.threads)

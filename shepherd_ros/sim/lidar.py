@@ -7,6 +7,7 @@ import math
 
 from shepherd_ros.config import Config, option
 from shepherd_ros.sim.kernels import usable
+from shepherd_ros.sim.kernels.fused import fused, fusible
 from shepherd_ros.sim.kernels.lidar import scan_discs
 from shepherd_ros.sim.noise import normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
@@ -88,6 +89,37 @@ def cast_rays(
     return ranges.masked_fill_(ranges > range_max, torch.inf).reshape(*batch, n_rays)
 
 
+@fused
+def cast_all_rays(
+    origin: Tensor,
+    centers: Tensor,
+    radius: Tensor,
+    mask: Tensor,
+    n_rays: int,
+    range_max: float,
+    solid: bool = True,
+) -> Tensor:
+    """
+    Return what cast_rays() does, from a test of each ray against each disc.
+
+    Slow, and large in memory, but for a GPU, where it becomes one kernel without any of its size.
+    """
+    offset = centers - origin[..., None, :]
+    x, y = offset[..., None].unbind(dim=-2)  # (..., K, 1)
+    radius = radius[..., None]
+    ray = torch.arange(n_rays, device=origin.device, dtype=torch.float64)
+    theta = ray * (2 * math.pi / n_rays)
+    cos, sin = theta.cos().to(x.dtype), theta.sin().to(x.dtype)
+    along, across = x * cos + y * sin, x * sin - y * cos
+    depth = (radius * radius - across * across).clamp(min=0).sqrt()
+    inside = torch.hypot(x, y) <= radius
+    ahead = (across.abs() <= radius) & (along > 0)
+    rim = torch.full_like(along, TOUCHING) if solid else along + depth
+    distance = torch.where(inside, rim, along - depth)
+    hit = (inside | ahead) & mask[..., None] & (distance <= range_max)
+    return torch.where(hit, distance, torch.inf).amin(dim=-2)
+
+
 def scan(state: WorldState, config: LidarConfig, shepherds: Tensor | None = None) -> Tensor:
     """
     Return what the shepherds' lidars see, +inf for no return; -> (..., S, 3, n_rays) m.
@@ -118,7 +150,7 @@ def _discs(state: WorldState, config: LidarConfig, shepherds: Tensor) -> Tensor:
 
     def channel(centers: Tensor, radius: Tensor, mask: Tensor, solid: bool = True) -> Tensor:
         mask = (mask & present).expand(*origin.shape[:-1], centers.shape[-2])
-        return cast_rays(
+        return (cast_all_rays if fusible(origin) else cast_rays)(
             origin, centers[..., None, :, :], radius, mask, config.n_rays, config.range_max, solid
         )
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from reference import assert_near, batch, lidar, make_state, moved, padded, state_of, World
 from shepherd_ros.config import ConfigError
+from shepherd_ros.sim import kernels
 from shepherd_ros.sim.lidar import cast_rays, CHANNELS, LidarConfig, scan, TOUCHING
 from shepherd_ros.sim.state import WorldState
 import torch
@@ -51,8 +52,14 @@ def ray_scene(dtype: torch.dtype = torch.float64) -> WorldState:
 # --- against the reference ----------------------------------------------------------------------
 
 
+@pytest.mark.parametrize('form', ['as it runs here', 'as on a GPU'])
 @pytest.mark.parametrize('dtype', [torch.float64, torch.float32], ids=str)
-def test_two_hundred_scenes_are_those_of_every_ray_with_every_disc(dtype: torch.dtype) -> None:
+def test_two_hundred_scenes_are_those_of_every_ray_with_every_disc(
+    monkeypatch: pytest.MonkeyPatch, dtype: torch.dtype, form: str
+) -> None:
+    if form == 'as on a GPU':
+        monkeypatch.setattr(kernels, 'AVAILABLE', False)
+        monkeypatch.setattr('shepherd_ros.sim.lidar.fusible', lambda tensor: True)
     # left out: rays that pass within `margin` of a disc's edge, ranges so near the greatest range,
     # and sensors so near a rim, where a rounding decides between a range and none
     margin, tolerance = (1e-6, 1e-9) if dtype == torch.float64 else (2e-3, 5e-4)

@@ -13,6 +13,7 @@ from shepherd_ros.config import option
 from shepherd_ros.sim.flocking.base import FlockConfig, FlockModel
 from shepherd_ros.sim.flocking.strombom import offsets
 from shepherd_ros.sim.kernels import usable
+from shepherd_ros.sim.kernels.fused import fused
 from shepherd_ros.sim.kernels.reynolds_flock import reynolds_step
 from shepherd_ros.sim.noise import normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
@@ -57,7 +58,14 @@ def step(state: WorldState, config: ReynoldsFlock, dt: float) -> tuple[Tensor, T
     """Return sheep and heading after dt; every sheep moves exactly speed * dt."""
     if usable(state.sheep, state.shepherds):
         return reynolds_step(state, config, dt)
-    sheep, velocity = state.sheep, state.heading * config.speed
+    heading = steered(state.sheep, state, config, dt)
+    return state.sheep + (config.speed * dt) * heading, heading
+
+
+@fused
+def steered(sheep: Tensor, state: WorldState, config: ReynoldsFlock, dt: float) -> Tensor:
+    """Return the headings (..., N, 2) that the forces on sheep (..., N, 2) m lead to within dt."""
+    velocity = state.heading * config.speed
     x, y = offsets(sheep, sheep)
     squared = x * x + y * y
     alone = torch.eye(sheep.shape[-2], dtype=torch.bool, device=sheep.device)
@@ -93,8 +101,7 @@ def step(state: WorldState, config: ReynoldsFlock, dt: float) -> tuple[Tensor, T
     )
     velocity = velocity + clip_norm(acceleration, config.max_acceleration) * dt
     length = torch.linalg.vector_norm(velocity, dim=-1, keepdim=True)
-    heading = torch.where(length < EPSILON, state.heading, velocity / length.clamp(min=EPSILON))
-    return sheep + (config.speed * dt) * heading, heading
+    return torch.where(length < EPSILON, state.heading, velocity / length.clamp(min=EPSILON))
 
 
 def first_heading(seed: Tensor, n: int, config: ReynoldsFlock) -> Tensor:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from shepherd_ros.config import option
 from shepherd_ros.sim.flocking.base import FlockConfig, FlockModel
 from shepherd_ros.sim.kernels import usable
+from shepherd_ros.sim.kernels.fused import fused
 from shepherd_ros.sim.kernels.strombom_flock import strombom_step
 from shepherd_ros.sim.noise import direction, Stream, uniform
 from shepherd_ros.sim.state import WorldState
@@ -89,6 +90,7 @@ def local_center(sheep: Tensor, mask: Tensor, squared: Tensor, n_neighbors: int)
     return torch.where(count > 0, total / count.clamp(min=1), sheep)
 
 
+@fused
 def forces(
     sheep: Tensor, mask: Tensor, shepherds: Tensor, shepherd_mask: Tensor, config: StrombomFlock
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:

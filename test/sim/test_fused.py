@@ -1,0 +1,55 @@
+"""What torch compiles for a GPU: it is taken in whole, means the same, and only runs there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from reference import batch, make_state
+from shepherd_ros.sim.flocking import reynolds, strombom
+from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
+from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.kernels import fused as module
+from shepherd_ros.sim.kernels.fused import fused
+from shepherd_ros.sim.lidar import cast_all_rays
+import torch
+
+
+def works() -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
+    """Return each compiled law with arguments for it."""
+    state = batch([make_state(seed, 40, 3) for seed in range(4)])
+    flock = (state.sheep, state.sheep_mask, state.shepherds, state.shepherd_mask)
+    discs = (state.shepherds, state.sheep[:, None], torch.tensor(0.5).double(), state.sheep_mask[:, None])
+    return {
+        'strombom, farthest': (strombom.forces, (*flock, StrombomFlock(n_neighbors=30))),
+        'strombom, nearest': (strombom.forces, (*flock, StrombomFlock(n_neighbors=5))),
+        'reynolds': (reynolds.steered, (state.sheep, state, ReynoldsFlock(), 0.5)),
+        'lidar': (cast_all_rays, (*discs, 64, 75.0)),
+    }
+
+
+@pytest.mark.parametrize('name', works())
+def test_a_law_is_one_graph_and_means_the_same(name: str) -> None:
+    law, arguments = works()[name]
+    graph = torch.compile(law.__wrapped__, fullgraph=True, backend='aot_eager')
+    torch.testing.assert_close(graph(*arguments), law(*arguments), rtol=1e-6, atol=1e-6)
+
+
+def test_only_tensors_on_a_gpu_make_torch_compile(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+
+    def compile_it(function: Callable[..., Any]) -> Callable[..., Any]:
+        asked.append(function.__name__)
+        return function
+
+    @fused
+    def twice(x: torch.Tensor, factor: int) -> torch.Tensor:
+        return x * factor
+
+    monkeypatch.setattr(torch, 'compile', compile_it)
+    assert twice(torch.ones(1), 2) == 2
+    assert asked == []
+    monkeypatch.setattr(module, 'fusible', lambda tensor: True)
+    assert twice(torch.ones(1), 2) == twice(torch.ones(2), 2)[0] == 2
+    assert asked == ['twice']
