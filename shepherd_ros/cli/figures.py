@@ -12,7 +12,11 @@ import tyro
 
 @dataclass
 class Figures:
-    """Draw the figures of the paper and of the sweeps beyond it, as PNG and SVG."""
+    """
+    Draw the figures of the paper and of the sweeps beyond it, as PNG and SVG.
+
+    In a sweep beyond the paper, only controllers that have all its settings are drawn.
+    """
 
     rows: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Rows that shepherd evaluate wrote: Parquet files or folders of them."""
@@ -32,7 +36,7 @@ class Figures:
     def run(self) -> int:
         """Draw all; return the exit code."""
         from shepherd_ros.evaluation.curves import find_curves
-        from shepherd_ros.evaluation.experiments import EXPERIMENTS
+        from shepherd_ros.evaluation.experiments import EXPERIMENTS, OF_THE_PAPER
         from shepherd_ros.evaluation.figures import draw, draw_curves, draw_values, save
         from shepherd_ros.evaluation.judgement import has_critic
         from shepherd_ros.evaluation.methods import checkpoint_of, full_name, loaded
@@ -47,7 +51,9 @@ class Figures:
         rows, curves = read_rows(self.rows), find_curves(self.curves)
         samples: dict[str, Samples] = {}
         for experiment in EXPERIMENTS.values():
-            found = samples_of(rows, experiment.with_preset(self.preset), least=2)
+            beyond = experiment.name not in OF_THE_PAPER
+            chosen = experiment.with_preset(self.preset)
+            found = samples_of(rows, chosen, least=2, whole=beyond)
             if found is not None:
                 samples[experiment.name] = found
         if not samples:

@@ -10,6 +10,7 @@ from typing import Any
 from shepherd_ros.config import unknown_name
 from shepherd_ros.evaluation.setting import Setting
 
+OF_THE_PAPER = ('fig4', 'fig5', 'fractions', 'fig6', 'fig7', 'fig8')
 QUICK_STEPS = 250  # of an episode, instead of 1000
 BASELINES = ('strombom', 'pierson')
 PAPER = ('policy', *BASELINES, 'drover')
@@ -167,7 +168,7 @@ EXPERIMENTS: dict[str, Experiment] = {
     )
 }
 GROUPS = {
-    'paper': ('fig4', 'fig5', 'fractions', 'fig6', 'fig7', 'fig8'),
+    'paper': OF_THE_PAPER,
     'beyond': ('herdability', 'transfer', 'noise_repulsion', 'lidar', 'starts'),
     'all': tuple(EXPERIMENTS),
 }

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from shepherd_ros.config import ConfigError
 from shepherd_ros.evaluation.bootstrap import Array
-from shepherd_ros.evaluation.experiments import Experiment
+from shepherd_ros.evaluation.experiments import Experiment, QUICK_STEPS
 from shepherd_ros.evaluation.methods import in_order
 from shepherd_ros.evaluation.rows import Rows, VALUES
 from shepherd_ros.evaluation.setting import describe, FIELDS, Setting, settled
@@ -42,13 +42,14 @@ class Samples:
         return [describe(s) if name == 'case' else getattr(s, name) for s in self.settings]
 
 
-def samples_of(rows: Rows, experiment: Experiment, least: int = 1) -> Samples | None:
+def samples_of(
+    rows: Rows, experiment: Experiment, least: int = 1, whole: bool = False
+) -> Samples | None:
     """
     Return the episodes of an experiment, or raise ConfigError if they do not fit together.
 
-    None: rows of fewer than `least` of its settings.
-
-    A controller that lacks a setting has NaN there.
+    None: rows of fewer than `least` of its settings. A controller that lacks a setting has NaN
+    there; if only what is whole is wanted, it is left out.
     """
     cells: dict[tuple[str, int], np.ndarray] = {}  # controller, setting -> indices of rows
     settings = list(dict.fromkeys(map(settled, experiment.settings)))
@@ -59,6 +60,8 @@ def samples_of(rows: Rows, experiment: Experiment, least: int = 1) -> Samples | 
             if name in FLOORS and name not in experiment.controllers:
                 continue  # rows of the table, which would clutter a figure
             cells[name, place] = np.flatnonzero(mask & rows.where(controller=name))
+    if whole:
+        cells = _of_whole(cells, rows, experiment, settings)
     if len({place for _, place in cells}) < least:
         return None
     steps = _common(rows, cells, experiment.name)
@@ -79,6 +82,30 @@ def samples_of(rows: Rows, experiment: Experiment, least: int = 1) -> Samples | 
         for metric in VALUES:
             values[name, metric][present.index(place)] = rows.columns[metric][chosen]
     return Samples(experiment, tuple(settings[p] for p in present), tuple(seeds), steps, values)
+
+
+def _of_whole(
+    cells: dict[tuple[str, int], Array],
+    rows: Rows,
+    experiment: Experiment,
+    settings: list[Setting],
+) -> dict[tuple[str, int], Array]:
+    """
+    Return the cells of those controllers of which all is there.
+
+    That is all settings, or all of the short form, with as many seeds as any has in all of them.
+    """
+    used = np.concatenate([*cells.values(), []]).astype(int)
+    short = set(rows.columns['steps'][used].tolist()) == {QUICK_STEPS}
+    needed = [settings.index(settled(s)) for s in (experiment.quick if short else settings)]
+    seeds = {
+        name: set.intersection(
+            *(set(rows.columns['seed'][cells.get((name, p), [])].tolist()) for p in needed)
+        )
+        for name in {name for name, _ in cells}
+    }
+    most = max(map(len, seeds.values()), default=0)
+    return {key: index for key, index in cells.items() if most and len(seeds[key[0]]) == most}
 
 
 def _common(rows: Rows, cells: dict[tuple[str, int], np.ndarray], title: str) -> int:

@@ -27,7 +27,7 @@ from shepherd_ros.evaluation.claims import (
     verdict,
 )
 from shepherd_ros.evaluation.curves import Curve, find_curves, judge_curve
-from shepherd_ros.evaluation.experiments import EXPERIMENTS
+from shepherd_ros.evaluation.experiments import EXPERIMENTS, QUICK_STEPS
 from shepherd_ros.evaluation.judgement import (
     as_the_paper,
     has_critic,
@@ -133,6 +133,31 @@ def test_an_episode_that_is_there_twice_counts_once_and_cells_share_their_seeds(
     assert samples is not None
     assert samples.seeds == (0, 1)
     assert samples.values['pierson', 'completion_time'].tolist() == [[1, 2], [5, 6]]
+
+
+def test_of_a_sweep_only_controllers_of_which_all_is_there_are_drawn() -> None:
+    sweep = EXPERIMENTS['starts']
+    first, *others = map(settled, sweep.settings)
+
+    def rows(*tables: pa.Table) -> Rows:
+        return Rows(pa.concat_tables(tables))
+
+    whole = [made_up(s, 'pierson', completion_time=[1.0, 2.0]) for s in (first, *others)]
+    alone = made_up(first, 'strombom', completion_time=[1.0, 2.0])
+    cut = [made_up(s, 'drover', completion_time=[1.0, 2.0]) for s in others]
+    cut.append(made_up(first, 'drover', completion_time=[1.0]))
+    found = samples_of(rows(*whole, alone, *cut), sweep, whole=True)
+    assert found is not None
+    assert found.controllers == ['pierson']
+    assert found.seeds == (0, 1)
+    assert samples_of(rows(alone), sweep, least=2, whole=True) is None
+    short = [
+        made_up(replace(settled(s), steps=QUICK_STEPS), 'pierson', completion_time=[1.0])
+        for s in sweep.quick
+    ]
+    quick = samples_of(rows(*short), sweep, whole=True)
+    assert quick is not None
+    assert len(quick.settings) == len(sweep.quick) < len(sweep.settings)
 
 
 # ---- intervals ----

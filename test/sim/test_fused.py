@@ -20,7 +20,12 @@ def works() -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
     """Return each compiled law with arguments for it."""
     state = batch([make_state(seed, 40, 3) for seed in range(4)])
     flock = (state.sheep, state.sheep_mask, state.shepherds, state.shepherd_mask)
-    discs = (state.shepherds, state.sheep[:, None], torch.tensor(0.5).double(), state.sheep_mask[:, None])
+    discs = (
+        state.shepherds,
+        state.sheep[:, None],
+        torch.tensor(0.5).double(),
+        state.sheep_mask[:, None],
+    )
     return {
         'strombom, farthest': (strombom.forces, (*flock, StrombomFlock(n_neighbors=30))),
         'strombom, nearest': (strombom.forces, (*flock, StrombomFlock(n_neighbors=5))),
