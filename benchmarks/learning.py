@@ -22,11 +22,11 @@ from typing import Any
 
 from shepherd_ros.learning.clone import Cloner, Examples
 from shepherd_ros.learning.dagger import DaggerConfig, Lesson
-from shepherd_ros.learning.memory import keep_memory
 from shepherd_ros.learning.ppo import Learner, PPOConfig
 from shepherd_ros.learning.rollout import Rollout
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.train_ppo import PPORunConfig
+from shepherd_ros.memory import keep_memory
 from shepherd_ros.policy.network import Actor, fast_dtype, NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.observation import ObservationConfig

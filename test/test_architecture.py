@@ -27,6 +27,7 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
     'config': (set(), set()),
     'share': (set(), {'ament_index_python'}),
     'ranks': (set(), {'torch'}),
+    'memory': (set(), set()),
     'topics': ({'config', 'share'}, {'yaml'}),
     'stack': ({'config'}, set()),
     'sim': ({'config'}, {'torch'}),
@@ -48,7 +49,10 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
         {'numpy', 'tensorboard', 'torch'},
     ),
     'evaluation': (
-        {'bags', 'config', 'controllers', 'episode', 'policy', 'sim', 'topics', 'view'},
+        {
+            'bags', 'config', 'controllers', 'episode', 'memory', 'policy', 'sim', 'topics',
+            'view',
+        },
         {'matplotlib', 'numpy', 'pyarrow', 'torch'},
     ),
     'view': ({'config', 'share', 'sim'}, {'PIL', 'imageio', 'matplotlib', 'numpy', 'plotly'}),
@@ -62,7 +66,8 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
     'cli': (
         {
             'config', 'share', 'topics', 'stack', 'sim', 'controllers', 'policy', 'bags',
-            'environments', 'episode', 'learning', 'evaluation', 'ranks', 'sb3', 'view', 'nodes',
+            'environments', 'episode', 'learning', 'evaluation', 'memory', 'ranks', 'sb3', 'view',
+            'nodes',
         },
         {'numpy', 'rich', 'torch', 'tyro', 'yaml'},
     ),

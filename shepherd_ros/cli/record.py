@@ -102,9 +102,11 @@ class Record:
 def record_part(options: Record, seeds: range) -> int:
     """Record some episodes in a process of its own; return how many."""
     from shepherd_ros.evaluation.record import episode_folder, record_episodes
+    from shepherd_ros.memory import keep_memory
     import torch
 
     torch.set_num_threads(1)
+    keep_memory()
     config, controller = options.setting()
     missing = [s for s in seeds if not episode_folder(options.out, s).exists()]
     for first in missing:  # runs of neighbours, so that a batch is a range

@@ -14,10 +14,10 @@ from shepherd_ros.cli.arguments import arguments_of, configured
 from shepherd_ros.cli.code import commit
 from shepherd_ros.config import Config
 from shepherd_ros.learning.dagger import DaggerConfig, train_dagger
-from shepherd_ros.learning.memory import keep_memory
 from shepherd_ros.learning.run_folder import Run
 from shepherd_ros.learning.train_bc import BCConfig, train_bc
 from shepherd_ros.learning.train_ppo import PPORunConfig, train_ppo
+from shepherd_ros.memory import keep_memory
 from shepherd_ros.policy.checkpoint import load_policy
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig

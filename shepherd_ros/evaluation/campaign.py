@@ -14,6 +14,7 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.evaluation.cells import Cell, cell_file, key_of, run_into, TOGETHER
 from shepherd_ros.evaluation.methods import checkpoint_hash, full_name
 from shepherd_ros.evaluation.setting import Setting, settled
+from shepherd_ros.memory import keep_memory
 import torch
 
 
@@ -67,6 +68,7 @@ def shard_of(tasks: Sequence[Task], shard: str) -> list[Task]:
 def begin_worker() -> None:
     """Take one thread, and end at once when the process that started this one was killed."""
     torch.set_num_threads(1)
+    keep_memory()
 
     def end_with_parent() -> None:
         parent = parent_process()
