@@ -10,11 +10,13 @@ from __future__ import annotations
 from typing import Any
 
 from shepherd_ros.policy.pooling import pool, spread, usable, WINDOW
+from shepherd_ros.sim.kernels.fused import fused
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 
+@fused
 def plain_stage(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     """Return max over five neighbours of relu(conv(x)); (B, C, L) -> (B, F, (L - K + 1) // 5)."""
     x = functional.conv1d(x, weight.to(x.dtype), bias.to(x.dtype))

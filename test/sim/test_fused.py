@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from reference import batch, make_state
+from shepherd_ros.policy.stages import plain_stage
 from shepherd_ros.sim.flocking import reynolds, strombom
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
@@ -30,6 +31,7 @@ def works() -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
         'strombom, farthest': (strombom.forces, (*flock, StrombomFlock(n_neighbors=30))),
         'strombom, nearest': (strombom.forces, (*flock, StrombomFlock(n_neighbors=5))),
         'reynolds': (reynolds.steered, (state.sheep, state, ReynoldsFlock(), 0.5)),
+        'network': (plain_stage, (torch.randn(5, 3, 64), torch.randn(8, 3, 10), torch.randn(8))),
         'lidar': (cast_all_rays, (*discs, 64, 75.0)),
     }
 
@@ -39,6 +41,16 @@ def test_a_law_is_one_graph_and_means_the_same(name: str) -> None:
     law, arguments = works()[name]
     graph = torch.compile(law.__wrapped__, fullgraph=True, backend='aot_eager')
     torch.testing.assert_close(graph(*arguments), law(*arguments), rtol=1e-6, atol=1e-6)
+
+
+def test_the_gradient_of_a_compiled_stage_is_that_of_the_plain_one() -> None:
+    draw = torch.Generator().manual_seed(0)
+    shapes = ((5, 3, 64), (8, 3, 10), (8,))
+    arguments = [torch.randn(shape, generator=draw).requires_grad_() for shape in shapes]
+    graph = torch.compile(plain_stage.__wrapped__, fullgraph=True, backend='aot_eager')
+    ours = torch.autograd.grad(graph(*arguments).square().sum(), arguments)
+    wanted = torch.autograd.grad(plain_stage(*arguments).square().sum(), arguments)
+    torch.testing.assert_close(ours, wanted)
 
 
 def test_only_tensors_on_a_gpu_make_torch_compile(monkeypatch: pytest.MonkeyPatch) -> None:
