@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.policy.policy import PolicyConfig
 
+GAMMA_TIME = 4.0  # [s] of which gamma is the discount: a decision of eight steps of 0.5 s
+
 
 @dataclass(frozen=True)
 class AnnealConfig(Config):
@@ -53,6 +55,6 @@ def stage_at(share: float, count: int, config: AnnealConfig) -> int:
     return min(1 + int(rest * (count - 1)), count - 1)
 
 
-def same_horizon(gamma: float, first: PolicyConfig, now: PolicyConfig) -> float:
-    """Return the discount per decision that weighs a second as gamma does in the first stage."""
-    return gamma ** (now.repeat / first.repeat)
+def discount(gamma: float, policy: PolicyConfig) -> float:
+    """Return the discount per decision of a policy, where gamma is that per GAMMA_TIME."""
+    return gamma ** (policy.repeat * policy.dt / GAMMA_TIME)

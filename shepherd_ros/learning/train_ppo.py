@@ -10,7 +10,7 @@ from typing import Any
 from shepherd_ros.config import Config, ConfigError, option, part
 from shepherd_ros.learning.annealing import (
     AnnealConfig,
-    same_horizon,
+    discount,
     stage_at,
     stages,
 )
@@ -83,7 +83,7 @@ class Training:
             repeat = self.policy.config.repeat
         begun = time.monotonic()
         self.learner.slow_down(1 - used)
-        gamma = same_horizon(config.ppo.gamma, self.stages[0], self.policy.config)
+        gamma = discount(config.ppo.gamma, self.policy.config)
         scale = 100 * (1 - gamma) / repeat
         batch, seen = self.rollout.collect(gamma, config.ppo.decay, scale)
         collected = time.monotonic()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from shepherd_ros.config import ConfigError
-from shepherd_ros.learning.annealing import AnnealConfig, same_horizon, stage_at, stages
+from shepherd_ros.learning.annealing import AnnealConfig, discount, stage_at, stages
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import PolicyConfig
 from shepherd_ros.sim.observation import ObservationConfig
@@ -41,8 +43,10 @@ def test_stages_share_what_the_first_leaves() -> None:
     assert stage_at(0.99, 4, AnnealConfig(first_share=1.0)) == 0
 
 
-def test_a_second_weighs_the_same_in_all_stages() -> None:
+def test_a_second_weighs_the_same_however_long_an_action_is_held() -> None:
+    assert discount(0.9, FIRST) == pytest.approx(0.9)  # eight steps of 0.5 s are 4 s
     for stage in stages(FIRST, AnnealConfig()):
-        gamma = same_horizon(0.9, FIRST, stage)
-        decisions = 16 // stage.repeat
-        assert gamma**decisions == pytest.approx(0.9**2)
+        decisions = 16 // stage.repeat  # of 8 s
+        assert discount(0.9, stage) ** decisions == pytest.approx(0.9**2)
+    slow = replace(FIRST, dt=1.0)
+    assert discount(0.9, slow) == pytest.approx(0.9**2)
