@@ -16,6 +16,7 @@ import random
 from typing import Any
 
 import pyarrow as pa  # type: ignore[import-untyped]
+from shepherd_ros.config import ConfigError
 from shepherd_ros.evaluation.cells import Cell, run_cell
 from shepherd_ros.evaluation.claims import AGREES, judge, Sweep, UNDECIDED
 from shepherd_ros.evaluation.experiments import BASELINES, Experiment, EXPERIMENTS
@@ -138,7 +139,7 @@ def proposals(seed: int, known: list[Tried]) -> Iterator[Candidate]:
         elif draw.random() < SHARE_NEW:
             candidate = {path: draw.choice(values) for path, values in CHOICES.items()}
         else:
-            best = max(known, key=lambda tried: tried.score).candidate
+            best = max(reversed(known), key=lambda tried: tried.score).candidate  # the latest
             path = draw.choice(list(CHOICES))
             candidate = best | {path: draw.choice(CHOICES[path])}
         if candidate not in seen:
@@ -155,7 +156,11 @@ def read_tried(path: Path) -> list[Tried]:
 
 
 def search(path: Path, seed: int, count: int, episodes: int, steps: int = 1000) -> Iterator[Tried]:
-    """Try candidates until the file holds so many; yield each, the old ones too."""
+    """
+    Try candidates until the file holds so many; yield each, the old ones too.
+
+    ConfigError if the file is of another search.
+    """
     old = read_tried(path)
     known: list[Tried] = []
     cells: Known = {}
@@ -165,6 +170,11 @@ def search(path: Path, seed: int, count: int, episodes: int, steps: int = 1000) 
         candidate = next(source)
         if len(known) < len(old):
             tried = old[len(known)]
+            if tried.candidate != candidate:
+                raise ConfigError(
+                    f'line {len(known) + 1} of {path} is not what this search tries: it is of '
+                    'another --seed or version; give another --out'
+                )
         else:
             tried = attempt(candidate, episodes, steps, cells)
             with path.open('a', encoding='utf-8') as file:

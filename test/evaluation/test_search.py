@@ -74,6 +74,16 @@ def test_a_search_that_is_cut_off_goes_on_with_the_same_candidates(tmp_path: Pat
     assert NAME not in PRESETS
 
 
+def test_the_file_of_another_search_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / 'tried'
+    lines = [{'candidate': c, 'verdicts': {}} for c in (DEFAULT, OTHER, DEFAULT)]
+    path.write_text(''.join(json.dumps(line) + '\n' for line in lines))
+    assert main(['search', '--out', str(path)]) == 2
+    assert 'is of another --seed or version; give another --out' in capsys.readouterr().err
+
+
 def test_only_numbers_about_the_baselines_are_judged() -> None:
     tried = attempt(DEFAULT, 2, steps=2)
     assert len(tried.verdicts) == 17
