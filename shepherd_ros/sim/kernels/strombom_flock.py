@@ -28,7 +28,7 @@ from torch import Tensor
 _TURN, _GRAZE = int(Stream.TURN), int(Stream.GRAZE)
 _EPSILON = np.float32(EPSILON)
 _ZERO, _ONE = np.float32(0), np.float32(1)
-_LARGE = 1500  # flocks from this size on are put on a grid
+_LARGE = 850  # flocks from this size on are put on a grid
 
 
 @compiled
