@@ -83,7 +83,8 @@ class Figures:
                 *(j for found in samples.values() for j in judge_samples(found)),
                 *judge_values(critics),
             ]
-            text = page(judgements, samples, list(pictures), rows, self.command)
+            reasons = 'reasons.md' if (self.out / 'reasons.md').exists() else ''
+            text = page(judgements, samples, list(pictures), rows, self.command, reasons)
             (self.out / 'README.md').write_text(text, encoding='utf-8')
             lines = CSV_HEADER + ''.join(csv_rows(found) for found in samples.values())
             (self.out / 'summary.csv').write_text(lines, encoding='utf-8')

@@ -44,6 +44,10 @@ together. A number *agrees* if the whole interval lies within the bounds, *disag
 of it does, and is *undecided* otherwise. A statement agrees if all its numbers do, and
 disagrees if one of them does.
 
+**The same over ROS.** A cell that real nodes drive over topics in lockstep has these metrics to
+the last bit, seed for seed, for both heuristics and for a policy: `test/nodes/test_cell.py`, on
+small worlds.
+
 **RL** is a policy of this project, not the authors': the table below says how each was
 trained. Only one that PPO trained with the flock model of the figure, as in the paper, counts in
 the summary; what the statements come to with other policies in its place is folded up below
@@ -60,14 +64,16 @@ def page(
     pictures: Sequence[str],
     rows: Rows,
     command: str,
+    reasons: str = '',
 ) -> str:
-    """Return the page in Markdown; pictures are the names of those that lie beside it."""
+    """Return the page in Markdown; pictures, and the file of reasons, lie beside it."""
     presets = ', '.join(f'`{p}`' for p in rows.distinct('preset') if p)
     used = [name for name in rows.distinct('controller') if name.startswith('policy:')]
     lines = [
         '# The experiments of the paper, and what came of them here',
         '',
         f'Made by `{command}`. {origin(rows)}',
+        *reference(reasons),
         *trial(samples),
         '',
         f'{RULE.strip()} {presets}.',
@@ -96,6 +102,12 @@ def origin(rows: Rows) -> str:
     code = ', '.join(f'`{c}`' for c in rows.distinct('code') if c) or 'not known'
     versions = ', '.join(rows.distinct('version'))
     return f'{len(rows)} episodes, version {versions}, commit {code} (+: with changes).'
+
+
+def reference(reasons: str) -> list[str]:
+    """Return a line that leads to a file of reasons, if there is one."""
+    line = f'Where a number disagrees, [{reasons}]({reasons}) says what may be behind it.'
+    return [line] if reasons else []
 
 
 def trial(samples: Mapping[str, Samples]) -> list[str]:
