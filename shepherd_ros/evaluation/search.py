@@ -9,8 +9,9 @@ best so far with one choice changed, some are drawn at random; the default prese
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 import json
+import math
 from pathlib import Path
 import random
 from typing import Any
@@ -18,7 +19,7 @@ from typing import Any
 import pyarrow as pa  # type: ignore[import-untyped]
 from shepherd_ros.config import ConfigError
 from shepherd_ros.evaluation.cells import Cell, run_cell
-from shepherd_ros.evaluation.claims import AGREES, judge, Sweep, UNDECIDED
+from shepherd_ros.evaluation.claims import AGREES, DISAGREES, judge, Sweep, UNDECIDED
 from shepherd_ros.evaluation.experiments import BASELINES, Experiment, EXPERIMENTS
 from shepherd_ros.evaluation.rows import Rows
 from shepherd_ros.evaluation.samples import samples_of
@@ -53,6 +54,7 @@ POINTS = {
     'fig7': ('repulsion', (0.5, 1.0, 3.0, 4.0)),
     'fig8': ('sheep', (10, 50, 100)),
 }
+NEARLY = 0.4  # what a number next to its bounds adds
 SHARE_NEW = 0.1  # of candidates that are drawn anew
 
 Candidate = dict[str, Any]
@@ -65,12 +67,28 @@ class Tried:
 
     candidate: Candidate
     verdicts: dict[str, str]  # by statement and number
+    numbers: dict[str, float]  # the same
+    gaps: dict[str, float]  # from a number to its bounds, over the bound; 0 within them
 
     @property
     def score(self) -> float:
         """Return how many numbers agree; one that is undecided counts half."""
         worth = {AGREES: 1.0, UNDECIDED: 0.5}
         return sum(worth.get(verdict, 0.0) for verdict in self.verdicts.values())
+
+    @property
+    def merit(self) -> float:
+        """Return the score, and less than half for a number that disagrees the nearer it is."""
+        wrong = (gap for key, gap in self.gaps.items() if self.verdicts[key] == DISAGREES)
+        return self.score + sum(NEARLY / (1 + gap) for gap in wrong)
+
+
+def gap_of(value: float, low: float, high: float) -> float:
+    """Return how far a number is from its bounds, over the nearer one; inf for NaN."""
+    if math.isnan(value):
+        return math.inf
+    bound = min(max(value, low), high)
+    return abs(value - bound) / max(abs(bound), 1e-9)
 
 
 def preset_of(candidate: Candidate) -> Preset:
@@ -115,7 +133,7 @@ def attempt(
                     known[key] = run_cell(cell)
                 tables.append(known[key])
         rows = Rows(pa.concat_tables(tables))
-        verdicts = {}
+        tried = Tried(candidate, {}, {}, {})
         for claim in CLAIMS:
             samples = samples_of(rows, experiments[claim.experiment])
             assert samples is not None, 'all of an experiment was run'
@@ -123,8 +141,10 @@ def attempt(
                 finding = judge(clause, Sweep(samples, ''))
                 if not finding.reason:  # else it needs a policy
                     key = f'{claim.experiment}: {claim.statement}: {clause.text}'
-                    verdicts[key] = finding.verdict
-        return Tried(candidate, verdicts)
+                    tried.verdicts[key] = finding.verdict
+                    tried.numbers[key] = finding.value
+                    tried.gaps[key] = gap_of(finding.value, clause.low, clause.high)
+        return tried
     finally:
         del PRESETS[NAME]
 
@@ -139,7 +159,7 @@ def proposals(seed: int, known: list[Tried]) -> Iterator[Candidate]:
         elif draw.random() < SHARE_NEW:
             candidate = {path: draw.choice(values) for path, values in CHOICES.items()}
         else:
-            best = max(reversed(known), key=lambda tried: tried.score).candidate  # the latest
+            best = max(reversed(known), key=lambda tried: tried.merit).candidate  # the latest
             path = draw.choice(list(CHOICES))
             candidate = best | {path: draw.choice(CHOICES[path])}
         if candidate not in seen:
@@ -178,7 +198,6 @@ def search(path: Path, seed: int, count: int, episodes: int, steps: int = 1000) 
         else:
             tried = attempt(candidate, episodes, steps, cells)
             with path.open('a', encoding='utf-8') as file:
-                line = {'candidate': tried.candidate, 'verdicts': tried.verdicts}
-                file.write(json.dumps(line) + '\n')
+                file.write(json.dumps(asdict(tried)) + '\n')
         known.append(tried)
         yield tried

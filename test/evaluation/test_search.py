@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, replace
 from itertools import islice
 import json
+import math
 from pathlib import Path
 
 import pytest
@@ -13,6 +15,7 @@ from shepherd_ros.evaluation.methods import make_method
 from shepherd_ros.evaluation.search import (
     attempt,
     CHOICES,
+    gap_of,
     Known,
     NAME,
     POINTS,
@@ -61,7 +64,20 @@ def test_the_points_are_those_of_the_figures(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_an_undecided_number_counts_half() -> None:
-    assert Tried({}, {'a': AGREES, 'b': UNDECIDED, 'c': DISAGREES, 'd': AGREES}).score == 2.5
+    verdicts = {'a': AGREES, 'b': UNDECIDED, 'c': DISAGREES, 'd': AGREES}
+    near = Tried({}, verdicts, {}, {'a': 0.0, 'b': 0.0, 'c': 0.0, 'd': 0.0})
+    far = replace(near, gaps=near.gaps | {'a': 9.0, 'c': 1.0})
+    assert near.score == far.score == 2.5
+    assert near.merit == pytest.approx(2.9)
+    assert far.merit == pytest.approx(2.7)
+    assert replace(near, gaps={'c': math.inf}).merit == 2.5
+
+
+def test_a_gap_is_the_way_to_the_nearer_bound() -> None:
+    assert gap_of(3.0, 4.0, 8.0) == 0.25
+    assert gap_of(10.0, 4.0, 8.0) == 0.25
+    assert gap_of(5.0, 4.0, 8.0) == 0
+    assert gap_of(math.nan, 4.0, 8.0) == gap_of(math.inf, -math.inf, 1.0) == math.inf
 
 
 def test_a_search_that_is_cut_off_goes_on_with_the_same_candidates(tmp_path: Path) -> None:
@@ -78,7 +94,7 @@ def test_the_file_of_another_search_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / 'tried'
-    lines = [{'candidate': c, 'verdicts': {}} for c in (DEFAULT, OTHER, DEFAULT)]
+    lines = [asdict(Tried(c, {}, {}, {})) for c in (DEFAULT, OTHER, DEFAULT)]
     path.write_text(''.join(json.dumps(line) + '\n' for line in lines))
     assert main(['search', '--out', str(path)]) == 2
     assert 'is of another --seed or version; give another --out' in capsys.readouterr().err
