@@ -102,7 +102,8 @@ def cast_all_rays(
     """
     Return what cast_rays() does, from a test of each ray against each disc.
 
-    Slow, and large in memory, but for a GPU, where it becomes one kernel without any of its size.
+    Slow, and large in memory, where it runs as it stands. It is for torch.compile on a GPU, as it
+    has no shape that depends on what is seen.
     """
     offset = centers - origin[..., None, :]
     x, y = offset[..., None].unbind(dim=-2)  # (..., K, 1)

@@ -2,8 +2,8 @@
 Laws that torch compiles into a few kernels where they run on a GPU.
 
 The law stays one, in plain torch: what is compiled is the plain function itself. Many small
-operations over all pairs of a flock, or over all rays and discs, become one pass that keeps no
-pair in memory. Off with the environment variable SHEPHERD_ROS_PLAIN=1.
+operations over all pairs of a flock, or over all rays and discs, are meant to become few passes
+over memory; not tried on a GPU yet. Off with the environment variable SHEPHERD_ROS_PLAIN=1.
 """
 
 from __future__ import annotations
