@@ -168,11 +168,19 @@ def proposals(seed: int, known: list[Tried]) -> Iterator[Candidate]:
 
 
 def read_tried(path: Path) -> list[Tried]:
-    """Return what a file holds, a line each; nothing if it is not there."""
+    """Return what a file holds, a line each; nothing if it is not there; or ConfigError."""
     if not path.exists():
         return []
-    lines = path.read_text(encoding='utf-8').splitlines()
-    return [Tried(**json.loads(line)) for line in lines]
+    found = []
+    for number, line in enumerate(path.read_bytes().splitlines(), start=1):
+        try:
+            found.append(Tried(**json.loads(line)))
+        except (TypeError, ValueError) as error:
+            raise ConfigError(
+                f'line {number} of {path} is no candidate that this version has tried: remove '
+                'that line and those after it, or give another --out'
+            ) from error
+    return found
 
 
 def search(path: Path, seed: int, count: int, episodes: int, steps: int = 1000) -> Iterator[Tried]:

@@ -100,6 +100,16 @@ def test_the_file_of_another_search_is_refused(
     assert 'is of another --seed or version; give another --out' in capsys.readouterr().err
 
 
+@pytest.mark.parametrize('line', ['{"candidate": {}, "verdicts": {}}', '{"candidate": {"dt"', '7'])
+def test_a_line_that_is_torn_or_foreign_is_named(
+    line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / 'tried'
+    path.write_text(json.dumps(asdict(Tried(DEFAULT, {}, {}, {}))) + '\n' + line + '\n')
+    assert main(['search', '--out', str(path)]) == 2
+    assert f'line 2 of {path} is no candidate' in capsys.readouterr().err
+
+
 def test_only_numbers_about_the_baselines_are_judged() -> None:
     tried = attempt(DEFAULT, 2, steps=2)
     assert len(tried.verdicts) == 17
