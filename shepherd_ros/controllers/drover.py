@@ -5,7 +5,9 @@ Pushes do not grow with nearness in the Strömbom flock, and sheep rest while no
 team stands on an arc behind the flock, seen from the goal, as far as it can and still be noticed;
 it need not follow the flock, only turn about the goal. When every sheep is inside, it goes out of
 their sight onto a ring around them. Sheep that never rest are driven from near and with haste, and
-the ring is so narrow that they are turned back wherever they go.
+the ring is so narrow that they are turned back wherever they go. One or two shepherds cannot
+close it: they run around such a flock and only ever touch its rim, so that it turns to and fro
+over the goal.
 """
 
 from __future__ import annotations
@@ -19,13 +21,15 @@ from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.reward import distance_to_rim
 from shepherd_ros.sim.state import WorldState
-from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, unit, wrap
+from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, masked_mean, unit, wrap
 from shepherd_ros.sim.world import WorldConfig
 import torch
 from torch import Tensor
 
 FULL_SPEED = 10.0  # [m] a way so long is gone at the top speed
 FRONT = 1.0  # [rad] a stray so near the bearing of a place on the ring is pushed back from there
+WHOLE = 2 * math.pi  # [rad]
+CROSSING = 0.75  # [goal radii] a flock so near the middle of the goal is turned
 NEARLY_ON_RING = 0.5  # [m] so near a ring, or half a smaller one, the way along it begins
 
 
@@ -57,6 +61,16 @@ class DroverConfig(Config):
     )
     arrived: float = option(0.8, 'share of the flock that has to be inside', low=0.0, high=1.0)
     lost: float = option(0.5, 'a smaller share inside is driven home again', low=0.0, high=1.0)
+    touch: float = option(
+        0.8, 'one or two touch a flock that never rests by so much of its view [m]', low=0.0
+    )
+    touch_from: float = option(
+        1.5, 'they do while its middle is so near the goal [goal radii]', low=0.0
+    )
+    touch_turn: float = option(
+        1.0, 'and turn it so far from the way to the goal, in the goal itself [rad]', low=0.0
+    )
+    touch_spacing: float = option(1.0, 'angle between two who do [rad]', low=0.0)
 
 
 @dataclass(frozen=True)
@@ -70,7 +84,7 @@ class Manner:
 
 GENTLE = Manner(4.0, 0.45, 0.5)  # for sheep that rest when nobody is near; easy to learn
 QUICK = Manner(2.0, -0.25, 2.0)  # for sheep that never rest, by a team that can close a ring
-FEW = Manner(4.0, -0.25, 0.5)  # the same by one or two, who cannot
+FEW = Manner(4.0, 0.0, 0.5)  # the same by one or two, who have no ring
 RING = 3  # so many shepherds close a ring
 
 
@@ -96,6 +110,23 @@ def notice_range(world: WorldConfig) -> float:
     return flock.view_range if isinstance(flock, ReynoldsFlock) else 10.0
 
 
+def middle_of_ring(angle: Tensor, mask: Tensor) -> Tensor:
+    """
+    Return the middle of places all around that are, in the mean, where shepherds are; (...) rad.
+
+    angle (..., H) rad are the shepherds' bearings, mask (..., H) says who is there. It is their
+    mean, read from the widest gap between them on; on a whole ring all gaps give the same places.
+    """
+    count = mask.sum(dim=-1, keepdim=True)
+    angle = torch.where(mask, torch.remainder(angle, WHOLE), torch.inf).sort(dim=-1).values
+    index = torch.arange(angle.shape[-1], device=angle.device)
+    following = torch.where(index == count - 1, angle[..., :1] + WHOLE, angle.roll(-1, dims=-1))
+    gap = torch.where(index < count, following - angle, -torch.inf)
+    widest = gap.argmax(dim=-1, keepdim=True)
+    angle = torch.where(index < count, angle + WHOLE * (index <= widest), 0.0)
+    return wrap(angle.sum(dim=-1) / count[..., 0].clamp(min=1))
+
+
 class DroverController(Controller):
     """Drives until all sheep are inside, then lets go until one is outside again."""
 
@@ -115,30 +146,55 @@ class DroverController(Controller):
         notice = config.notice or notice_range(self.world)
         team = seen.team_size[..., None]
         stand_off, reach, gain = manner_for(self.world, team, config)  # (..., 1)
-        edge = notice + reach * radius  # (..., 1) m
         behind = bearing(center - goal)  # (..., 1) rad
+        away = torch.linalg.vector_norm(center - goal, dim=-1)
+        far = torch.linalg.vector_norm(seen.sheep - center, dim=-1) * seen.sheep_mask
+        far = far.amax(dim=-1, keepdim=True)
 
+        # where to stand, (..., 1) each: around what, how far off, in which direction, how apart
+        few = (team < RING) & isinstance(self.world.flock, ReynoldsFlock)
+        touching = few & (away < config.touch_from * radius)
+        ring, home = self._ring(seen, memory, behind)
+        home = home[..., None] & ~few
+        clear = far + torch.where(touching, notice - config.touch, stand_off)
+        about = torch.where(touching[..., None], center, goal)
+        stand = torch.where(touching, clear, (away + clear).clamp(min=notice))
+        stand = torch.where(home, notice + reach * radius, stand)
+        middle = torch.where(touching, self._aside(seen, behind, away), behind)
+        middle = torch.where(home, ring[..., None], middle)
+        spacing = torch.where(touching, config.touch_spacing, config.spacing)
+        spacing = torch.where(home, WHOLE / team, spacing)
+
+        around = wrap(bearing(seen.shepherds - about) - middle)
+        place = middle + places_on_arc(around, spacing, seen.shepherd_mask)
+        target = about + stand[..., None] * from_bearing(place)
+        # on a circle the way is along it, as a straight one would cut through the flock
+        along = self._along_circle(seen, about, place, stand)
+        way = self._round(seen, target, center, clear)
+        way = torch.where((home | touching)[..., None], along, way)
+        gain = torch.where(touching, QUICK.gain, gain)
+        velocity = clip_norm(way * gain[..., None], self.world.shepherd_speed)
+        return velocity, {'home': home[..., 0], 'ring': ring}
+
+    def _ring(self, seen: WorldState, memory: Memory, behind: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the middle of a ring's places, (...) rad, and whether the flock is home."""
+        config: DroverConfig = self.config
         gap = torch.where(seen.sheep_mask, distance_to_rim(seen), -torch.inf)  # (..., N) m
         share = (gap <= 0).sum(dim=-1) / gap.shape[-1]
         home = share >= torch.where(memory['home'], config.lost, config.arrived)
-        spacing = 2 * math.pi / seen.team_size
         ring = torch.where(home & ~memory['home'], behind[..., 0], memory['ring'])
-        ring = self._turned_to_strays(seen, gap, ring, spacing)
+        ring = self._turned_to_strays(seen, gap, ring, WHOLE / seen.team_size)
+        # that of three and more is where they are, so that who sees the team needs no memory
+        angle = bearing(seen.shepherds - seen.goal[..., None, :])
+        team_ring = middle_of_ring(angle, seen.shepherd_mask)
+        return torch.where(seen.team_size >= RING, team_ring, ring), home
 
-        far = torch.linalg.vector_norm(seen.sheep - center, dim=-1) * seen.sheep_mask
-        clear = far.amax(dim=-1, keepdim=True) + stand_off
-        away = torch.linalg.vector_norm(center - goal, dim=-1)
-        stand = torch.where(home[..., None], edge, (away + clear).clamp(min=notice))
-        middle = torch.where(home, ring, behind[..., 0])[..., None]
-        spacing = torch.where(home, spacing, config.spacing)[..., None]
-        around = wrap(bearing(seen.shepherds - goal) - middle)
-        place = middle + places_on_arc(around, spacing, seen.shepherd_mask)
-        target = goal + stand[..., None] * from_bearing(place)
-        # on the ring the way is along it, as a straight one would cut through the flock
-        closing = self._along_ring(seen, place, stand)
-        way = torch.where(home[..., None, None], closing, self._round(seen, target, center, clear))
-        velocity = clip_norm(way * gain[..., None], self.world.shepherd_speed)
-        return velocity, {'home': home, 'ring': ring}
+    def _aside(self, seen: WorldState, behind: Tensor, away: Tensor) -> Tensor:
+        """Return where to stand to turn a flock on its way over the goal; (..., 1) rad."""
+        heading = bearing(masked_mean(seen.heading, seen.sheep_mask))[..., None]
+        side = torch.where(torch.sin(heading - behind) >= 0, 1.0, -1.0)
+        crossing = 1 - away / (CROSSING * seen.goal_radius[..., None])
+        return behind - side * self.config.touch_turn * crossing.clamp(min=0.0)
 
     def _turned_to_strays(
         self, seen: WorldState, gap: Tensor, ring: Tensor, spacing: Tensor
@@ -147,7 +203,7 @@ class DroverController(Controller):
         Return the direction of the ring's middle, (...) rad, so that some place is behind strays.
 
         The ring stays while a stray is in front of one of its places, else it turns to the
-        farthest. A ring of three or more has no gaps and stays.
+        farthest.
         """
         edge = ring - (seen.team_size - 1) / 2 * spacing  # bearing of one of the places
         stray = bearing(seen.sheep - seen.goal[..., None, :])  # (..., N)
@@ -157,22 +213,22 @@ class DroverController(Controller):
         watched = (outside & (off < FRONT)).any(dim=-1) | ~outside.any(dim=-1)
         farthest = stray.gather(-1, gap.argmax(dim=-1, keepdim=True))[..., 0]
         turned = farthest + (seen.team_size - 1) / 2 * spacing
-        return torch.where(watched | (seen.team_size >= RING), ring, turned)
+        return torch.where(watched, ring, turned)
 
-    def _along_ring(self, seen: WorldState, place: Tensor, stand: Tensor) -> Tensor:
-        """Return the way to a place on a ring about the goal, along the ring; (..., H, 2) m."""
-        from_goal = seen.shepherds - seen.goal[..., None, :]
-        distance = torch.linalg.vector_norm(from_goal, dim=-1)
-        angle = bearing(from_goal)
+    def _along_circle(
+        self, seen: WorldState, about: Tensor, place: Tensor, stand: Tensor
+    ) -> Tensor:
+        """Return the way to places on a circle about a point, along it; (..., H, 2) m."""
+        out = seen.shepherds - about
+        distance = torch.linalg.vector_norm(out, dim=-1)
+        angle = bearing(out)
         turn = wrap(place - angle)
         step = self.world.shepherd_speed * self.world.dt / stand
         near = torch.full_like(stand, NEARLY_ON_RING)
         nearer = (stand - distance).clamp(-step * stand, step * stand)
         outside = distance + nearer >= stand - torch.minimum(stand / 2, near)
         turn = torch.where(outside, turn.clamp(-step, step), 0.0)
-        there = seen.goal[..., None, :] + (distance + nearer)[..., None] * from_bearing(
-            angle + turn
-        )
+        there = about + (distance + nearer)[..., None] * from_bearing(angle + turn)
         return there - seen.shepherds
 
     def _round(self, seen: WorldState, target: Tensor, center: Tensor, clear: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ import pytest
 from reference import state_of
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.controllers.base import Memory
-from shepherd_ros.controllers.drover import RING
+from shepherd_ros.controllers.drover import middle_of_ring, RING
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.reward import distance_to_rim
 from shepherd_ros.sim.spawn import spawn
@@ -122,12 +122,71 @@ def test_a_lone_shepherd_turns_to_the_farthest_stray() -> None:
 
 
 def test_how_near_sheep_notice_is_that_of_the_flock_or_what_is_given() -> None:
-    world = replace(WORLD, flock=ReynoldsFlock())
-    place, _ = settle(scene(square(1, 0), [(9.0, 0.0)]), 100, world, arrived=1.0)
+    world = replace(WORLD, n_shepherds=3, flock=ReynoldsFlock())
+    team = [(9.0, -2.0), (9.0, 0.0), (9.0, 2.0)]
+    places, _ = settle(scene(square(1, 0), team), 100, world, arrived=1.0)
     # all four are inside: a ring so narrow that none can be there unnoticed
-    assert place.norm().item() == pytest.approx(7.5 - 0.25 * 4, abs=0.1)
+    assert places.norm(dim=-1).tolist() == pytest.approx([7.5 - 0.25 * 4] * 3, abs=0.1)
     place, _ = settle(scene(square(10, 0), [(30.0, 0.0)]), 100, notice=25.0)
     assert place.tolist() == pytest.approx([25.0, 0.0], abs=0.05)
+
+
+def test_one_shepherd_touches_the_rim_of_a_flock_that_never_rests() -> None:
+    world = replace(WORLD, flock=ReynoldsFlock())
+    place, _ = settle(scene(square(4, 0), [(15.0, 1.0)]), 200, world)
+    # behind the flock: sqrt(2) m to its farthest sheep, and 0.8 m less than it sees
+    reach = math.sqrt(2) + 7.5 - 0.8
+    assert place.tolist() == pytest.approx([4 + reach, 0.0], abs=0.05)
+    # in the middle of the goal the flock heads for +x and is turned by a radian
+    place, _ = settle(scene(square(0, 0.003), [(15.0, 1.0)]), 200, world)
+    assert place.norm().item() == pytest.approx(reach, abs=0.05)
+    behind = math.pi / 2  # of the goal is where it is: the sense of its turn is kept
+    angle = math.atan2(place[1].item(), place[0].item())
+    assert angle == pytest.approx(behind + 1.0, abs=0.01)
+
+
+@pytest.mark.parametrize('turn', [0.0, 1.0, -2.5])
+def test_the_ring_of_three_and_more_is_where_they_are(turn: float) -> None:
+    third = 2 * math.pi / 3
+    mask = torch.tensor([True, True, True, False])
+
+    def places(*angle: float) -> list[float]:
+        wrapped = torch.tensor([[*angle, 9.0]]) + turn
+        middle = middle_of_ring(torch.remainder(wrapped, 2 * math.pi), mask[None])[0].item()
+        return sorted((middle - turn + k * third) % (2 * math.pi) for k in (-1, 0, 1))
+
+    # beside each other: around their mean, which is 0.1; all around: the mean of what each is off
+    for angles, middle in [((0.3, -0.2, 0.2), 0.1), ((0.1, third + 0.3, -third - 0.1), 0.1)]:
+        expected = sorted((middle + k * third) % (2 * math.pi) for k in (-1, 0, 1))
+        assert places(*angles) == pytest.approx(expected, abs=1e-5)
+
+
+def test_a_ring_of_three_needs_no_memory() -> None:
+    world = replace(WORLD, n_shepherds=3)
+    controller = make_controller('drover', world)
+    state = scene(square(0, 0), [(20.0, -2.0), (-10.0, 15.0), (-12.0, -14.0)])
+    commands = [
+        controller.act(state, {'home': torch.tensor([home]), 'ring': torch.tensor([ring])})[0]
+        for home, ring in [(True, 0.0), (True, 2.0), (False, -1.0)]
+    ]
+    assert torch.equal(commands[0], commands[1])
+    assert torch.equal(commands[0], commands[2])
+
+
+@pytest.mark.parametrize('shepherds', [1, 2])
+def test_sheep_that_never_rest_are_kept_near_the_goal_by_one_or_two(shepherds: int) -> None:
+    world = WorldConfig(n_sheep=50, n_shepherds=shepherds, flock=ReynoldsFlock())
+    controller = make_controller('drover', world)
+    state = spawn(world, torch.arange(16))
+    memory = controller.begin(state)
+    inside = []
+    for k in range(700):
+        command, memory = controller.act(state, memory)
+        state = step(state, command, world)
+        if k >= 400:
+            inside.append((distance_to_rim(state) <= 0).float().mean())
+    # a ring of one or two keeps 0.1 to 0.3
+    assert float(torch.stack(inside).mean()) > 0.55
 
 
 def test_sheep_that_never_rest_are_kept_home_by_a_ring_of_three_and_more() -> None:
