@@ -27,6 +27,7 @@ from torch import Tensor
 MODES = ('lockstep', 'realtime')
 LOWEST_RATE = 0.001  # [1/s]
 WATCH_PERIOD = 0.05  # [s] wall time between two looks at who is silent
+SETTLED = 0.2  # [s] wall time without a new reader after which the first step may be made
 PAUSED_RESEND = 1.0  # [s] wall time after which a paused world shows its state again
 
 
@@ -80,6 +81,8 @@ class FlockSim(ShepherdNode):
         self.pending_goal: Tensor | None = None
         self.sent = 0.0
         self.steps_made = 0
+        self.settled = False
+        self.readers, self.reader_came = 0, self.wall()
         self.output = WorldOutput(self)
         self.gate = CommandGate(self, self.on_answers)
         self.requests = FlockServices(self)
@@ -166,7 +169,7 @@ class FlockSim(ShepherdNode):
 
     def may_move(self) -> bool:
         """Return whether a step may be made now, and count it if only some may."""
-        if self.finished:
+        if self.finished or not self.settled:
             return False
         if self.paused and self.steps_left == 0:
             return False
@@ -178,8 +181,20 @@ class FlockSim(ShepherdNode):
         if self.mode == 'lockstep' and self.gate.complete:
             self.on_answers()
 
+    def settle(self) -> None:
+        """Keep the first state until all who are there have heard it: DDS finds them by and by."""
+        readers, now = self.output.readers(), self.wall()
+        if readers != self.readers:
+            self.readers, self.reader_came = readers, now
+            self.publish_state(again=True)
+        elif now - self.reader_came > SETTLED:
+            self.settled = True
+            self.resume()
+
     def watch(self) -> None:
         """In lockstep: show a state again that was not answered, and name who is silent."""
+        if not self.settled:
+            self.settle()
         if self.finished or self.mode != 'lockstep':
             return
         waited = self.wall() - self.sent

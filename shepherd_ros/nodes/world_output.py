@@ -12,7 +12,8 @@ from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import unit
 
 MARKER_PERIOD = 0.05  # [s] wall time between two pictures
-TOPICS = ('episode', 'goal', '/clock', 'flock/poses', 'shepherds/poses', 'markers')
+POSES = ('flock/poses', 'shepherds/poses')
+TOPICS = ('episode', 'goal', '/clock', *POSES, 'markers')
 
 
 class WorldOutput:
@@ -52,6 +53,10 @@ class WorldOutput:
             if self.outputs['markers'].get_subscription_count():
                 self.outputs['markers'].publish(world_markers(ns, frame, state))
             self.drawn = now
+
+    def readers(self) -> int:
+        """Return how many subscriptions to the poses DDS has found."""
+        return sum(self.outputs[topic].get_subscription_count() for topic in POSES)
 
     def wait(self, *topics: str, seconds: float) -> None:
         """Wait until every reader has what was published, at most so long for each topic."""
