@@ -3,19 +3,23 @@ The drover, a heuristic of this project: drives from far behind, lets go when th
 
 Pushes do not grow with nearness in the Strömbom flock, and sheep rest while nobody is near. So the
 team stands on an arc behind the flock, seen from the goal, as far as it can and still be noticed;
-it need not follow the flock, only turn about the goal. When every sheep is inside, it goes out of
-their sight onto a ring around them. Sheep that never rest are driven from near and with haste, and
-the ring is so narrow that they are turned back wherever they go. One or two shepherds cannot
-close it: they run around such a flock and only ever touch its rim, so that it turns to and fro
-over the goal.
+it need not follow the flock, only turn about the goal. As the flock comes home the arc opens into
+a ring, from where only sheep far from the middle notice it. Sheep that never rest are driven from
+near and with haste, and the ring is so narrow that they are turned back wherever they go. One or
+two shepherds cannot close it: they run around such a flock and only ever touch its rim, so that it
+turns to and fro over the goal.
+
+All of it follows from what is there now: the drover remembers nothing, so that whoever sees the
+same can learn it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
+from typing import Any
 
-from shepherd_ros.config import Config, option
+from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.controllers.base import Controller, Memory, places_on_arc
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
@@ -26,11 +30,11 @@ from shepherd_ros.sim.world import WorldConfig
 import torch
 from torch import Tensor
 
-FULL_SPEED = 10.0  # [m] a way so long is gone at the top speed
-FRONT = 1.0  # [rad] a stray so near the bearing of a place on the ring is pushed back from there
 WHOLE = 2 * math.pi  # [rad]
+FULL_SPEED = 10.0  # [m] a way so long is gone at the top speed
 CROSSING = 0.75  # [goal radii] a flock so near the middle of the goal is turned
-NEARLY_ON_RING = 0.5  # [m] so near a ring, or half a smaller one, the way along it begins
+NEARLY_ON_CIRCLE = 0.5  # [m] so near a circle, or half a smaller one, the way along it begins
+SHUT = 4.0  # [rad] a team without a wider gap stands on a ring
 
 
 @dataclass(frozen=True)
@@ -56,11 +60,19 @@ class DroverConfig(Config):
         'speed over the distance to a place, K_d [1/s]; 0: as suits the flock',
         low=0.0,
     )
-    patience: float = option(
-        0.5, 'a team of one or two turns to strays so far outside [m]', low=0.0
+    open_from: float = option(
+        1.0, 'the arc begins to open with the flock so near the goal [goal radii]', low=0.0
     )
-    arrived: float = option(0.8, 'share of the flock that has to be inside', low=0.0, high=1.0)
-    lost: float = option(0.5, 'a smaller share inside is driven home again', low=0.0, high=1.0)
+    open_until: float = option(0.1, 'and is a ring with it so near [goal radii]', low=0.0)
+    arrived: float = option(
+        0.8, 'share inside with which a ring closes about sheep that never rest', low=0.0, high=1.0
+    )
+    lost: float = option(0.5, 'and with less than this it opens', low=0.0, high=1.0)
+    alone: float = option(
+        0.8, 'share inside with which a lone shepherd turns to strays', low=0.0, high=1.0
+    )
+    patience: float = option(0.5, 'that is to sheep so far outside [m]', low=0.0)
+    stroll: float = option(0.5, 'and so fast, of the top speed', low=0.01, high=1.0)
     touch: float = option(
         0.8, 'one or two touch a flock that never rests by so much of its view [m]', low=0.0
     )
@@ -72,34 +84,28 @@ class DroverConfig(Config):
     )
     touch_spacing: float = option(1.0, 'angle between two who do [rad]', low=0.0)
 
+    def __post_init__(self) -> None:
+        """Check each field, and that the arc opens before it is a ring."""
+        super().__post_init__()
+        if self.open_until >= self.open_from:
+            raise ConfigError(
+                f'open_until is {self.open_until}: expected less than open_from, {self.open_from}'
+            )
+
 
 @dataclass(frozen=True)
 class Manner:
-    """How a flock is driven: the options of the same names."""
+    """How a flock is driven: the options of the same names, and who can close a ring."""
 
     stand_off: float  # [m]
     reach: float  # [goal radii]
     gain: float  # [1/s]
+    ring: int  # shepherds
 
 
-GENTLE = Manner(4.0, 0.45, 0.5)  # for sheep that rest when nobody is near; easy to learn
-QUICK = Manner(2.0, -0.25, 2.0)  # for sheep that never rest, by a team that can close a ring
-FEW = Manner(4.0, 0.0, 0.5)  # the same by one or two, who have no ring
-RING = 3  # so many shepherds close a ring
-
-
-def manner_for(world: WorldConfig, team: Tensor, config: DroverConfig) -> tuple[Tensor, ...]:
-    """Return stand_off [m], reach [goal radii] and gain [1/s] for teams of a size, (...) each."""
-    restless = isinstance(world.flock, ReynoldsFlock)
-    many, few = (QUICK, FEW) if restless else (GENTLE, GENTLE)
-    return tuple(
-        torch.where(
-            team >= RING,
-            getattr(config, name) or getattr(many, name),
-            getattr(config, name) or getattr(few, name),
-        )
-        for name in ('stand_off', 'reach', 'gain')
-    )
+GENTLE = Manner(4.0, 0.45, 0.5, 2)  # for sheep that rest when nobody is near
+QUICK = Manner(2.0, -0.25, 1.0, 3)  # for sheep that never rest
+FEW_OFF = 4.0  # [m] stand_off of too few for a ring about sheep that never rest
 
 
 def notice_range(world: WorldConfig) -> float:
@@ -110,6 +116,19 @@ def notice_range(world: WorldConfig) -> float:
     return flock.view_range if isinstance(flock, ReynoldsFlock) else 10.0
 
 
+def bearings_in_order(angle: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """
+    Return bearings (..., H) in [0, 2 pi) rad in order, and the gap after each, around the circle.
+
+    mask (..., H) says who is there; the others come last, at inf and with a gap of -inf.
+    """
+    count = mask.sum(dim=-1, keepdim=True)
+    angle = torch.where(mask, torch.remainder(angle, WHOLE), torch.inf).sort(dim=-1).values
+    index = torch.arange(angle.shape[-1], device=angle.device)
+    following = torch.where(index == count - 1, angle[..., :1] + WHOLE, angle.roll(-1, dims=-1))
+    return angle, torch.where(index < count, following - angle, -torch.inf)
+
+
 def middle_of_ring(angle: Tensor, mask: Tensor) -> Tensor:
     """
     Return the middle of places all around that are, in the mean, where shepherds are; (...) rad.
@@ -117,118 +136,153 @@ def middle_of_ring(angle: Tensor, mask: Tensor) -> Tensor:
     angle (..., H) rad are the shepherds' bearings, mask (..., H) says who is there. It is their
     mean, read from the widest gap between them on; on a whole ring all gaps give the same places.
     """
-    count = mask.sum(dim=-1, keepdim=True)
-    angle = torch.where(mask, torch.remainder(angle, WHOLE), torch.inf).sort(dim=-1).values
-    index = torch.arange(angle.shape[-1], device=angle.device)
-    following = torch.where(index == count - 1, angle[..., :1] + WHOLE, angle.roll(-1, dims=-1))
-    gap = torch.where(index < count, following - angle, -torch.inf)
+    angle, gap = bearings_in_order(angle, mask)
     widest = gap.argmax(dim=-1, keepdim=True)
-    angle = torch.where(index < count, angle + WHOLE * (index <= widest), 0.0)
-    return wrap(angle.sum(dim=-1) / count[..., 0].clamp(min=1))
+    index = torch.arange(angle.shape[-1], device=angle.device)
+    angle = torch.where(gap > -torch.inf, angle + WHOLE * (index <= widest), 0.0)
+    return wrap(angle.sum(dim=-1) / mask.sum(dim=-1).clamp(min=1))
+
+
+def share_inside(seen: WorldState) -> Tensor:
+    """Return the share of the flock in the goal, (..., 1)."""
+    inside = (distance_to_rim(seen) <= 0) & seen.sheep_mask
+    return inside.sum(dim=-1, keepdim=True) / seen.sheep_mask.sum(dim=-1, keepdim=True)
+
+
+@dataclass(frozen=True)
+class Stance:
+    """Places for a team: on a circle, evenly apart; (..., 1) each."""
+
+    about: Tensor  # the circle's middle, (..., 1, 2) m
+    distance: Tensor  # its radius [m]
+    middle: Tensor  # bearing of the middle of the places [rad]
+    spacing: Tensor  # between them [rad]
+    along: Tensor  # whether the way to them is along the circle, else round the flock
+    pace: Tensor  # top speed on that way [m/s]
+
+    def where(self, mask: Tensor, other: Stance) -> Stance:
+        """Return this one where the mask (..., 1) is set, else the other."""
+        pairs = {name: (getattr(self, name), getattr(other, name)) for name in vars(self)}
+        about = torch.where(mask[..., None], *pairs.pop('about'))
+        return Stance(about, **{name: torch.where(mask, *pair) for name, pair in pairs.items()})
 
 
 class DroverController(Controller):
-    """Drives until all sheep are inside, then lets go until one is outside again."""
+    """Drives until all sheep are inside, then lets go until some are outside again."""
 
     name = 'drover'
     config_type = DroverConfig
 
-    def begin(self, seen: WorldState) -> Memory:
-        """Return the first phase: driving."""
-        zero = torch.zeros_like(seen.goal_radius)
-        return {'home': zero.bool(), 'ring': zero}
+    def __init__(self, *args: Any, **options: Any) -> None:
+        """Choose how to drive the flock of the world."""
+        super().__init__(*args, **options)
+        config: DroverConfig = self.config
+        self.restless = isinstance(self.world.flock, ReynoldsFlock)
+        self.manner = QUICK if self.restless else GENTLE
+        self.notice = config.notice or notice_range(self.world)
+        self.reach = config.reach or self.manner.reach
+        self.gain = config.gain or self.manner.gain
 
     def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return commands (..., H, 2) m/s and memory."""
-        config: DroverConfig = self.config
         goal, center = seen.goal[..., None, :], seen.center[..., None, :]  # (..., 1, 2) m
-        radius = seen.goal_radius[..., None]
-        notice = config.notice or notice_range(self.world)
-        team = seen.team_size[..., None]
-        stand_off, reach, gain = manner_for(self.world, team, config)  # (..., 1)
         behind = bearing(center - goal)  # (..., 1) rad
         away = torch.linalg.vector_norm(center - goal, dim=-1)
         far = torch.linalg.vector_norm(seen.sheep - center, dim=-1) * seen.sheep_mask
         far = far.amax(dim=-1, keepdim=True)
+        few = seen.team_size[..., None] < self.manner.ring
+        off = torch.where(few & self.restless, FEW_OFF, self.manner.stand_off)
+        clear = far + (self.config.stand_off or off)
 
-        # where to stand, (..., 1) each: around what, how far off, in which direction, how apart
-        few = (team < RING) & isinstance(self.world.flock, ReynoldsFlock)
-        touching = few & (away < config.touch_from * radius)
-        ring, home = self._ring(seen, memory, behind)
-        home = home[..., None] & ~few
-        clear = far + torch.where(touching, notice - config.touch, stand_off)
-        about = torch.where(touching[..., None], center, goal)
-        stand = torch.where(touching, clear, (away + clear).clamp(min=notice))
-        stand = torch.where(home, notice + reach * radius, stand)
-        middle = torch.where(touching, self._aside(seen, behind, away), behind)
-        middle = torch.where(home, ring[..., None], middle)
-        spacing = torch.where(touching, config.touch_spacing, config.spacing)
-        spacing = torch.where(home, WHOLE / team, spacing)
+        stance = self._arc_or_ring(seen, behind, away, clear)
+        if self.restless:
+            near = away < self.config.touch_from * seen.goal_radius[..., None]
+            stance = self._touch(seen, behind, away, far).where(few & near, stance)
+        else:
+            inside = share_inside(seen) >= self.config.alone
+            stance = self._alone(seen, stance).where(few & inside, stance)
 
-        around = wrap(bearing(seen.shepherds - about) - middle)
-        place = middle + places_on_arc(around, spacing, seen.shepherd_mask)
-        target = about + stand[..., None] * from_bearing(place)
-        # on a circle the way is along it, as a straight one would cut through the flock
-        along = self._along_circle(seen, about, place, stand)
-        way = self._round(seen, target, center, clear)
-        way = torch.where((home | touching)[..., None], along, way)
-        gain = torch.where(touching, QUICK.gain, gain)
-        velocity = clip_norm(way * gain[..., None], self.world.shepherd_speed)
-        return velocity, {'home': home[..., 0], 'ring': ring}
+        around = wrap(bearing(seen.shepherds - stance.about) - stance.middle)
+        place = stance.middle + places_on_arc(around, stance.spacing, seen.shepherd_mask)
+        along = self._along_circle(seen, stance, place)
+        target = stance.about + stance.distance[..., None] * from_bearing(place)
+        way = torch.where(stance.along[..., None], along, self._round(seen, target, center, clear))
+        return clip_norm(way * self.gain, self.world.shepherd_speed), memory
 
-    def _ring(self, seen: WorldState, memory: Memory, behind: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the middle of a ring's places, (...) rad, and whether the flock is home."""
-        config: DroverConfig = self.config
+    def _arc_or_ring(
+        self, seen: WorldState, behind: Tensor, away: Tensor, clear: Tensor
+    ) -> Stance:
+        """Return the arc behind the flock, the ring about the goal, or what is between them."""
+        config, goal = self.config, seen.goal[..., None, :]
+        radius, team = seen.goal_radius[..., None], seen.team_size[..., None]
+        angle = bearing(seen.shepherds - goal)
+        if self.restless:  # in haste
+            gap = bearings_in_order(angle, seen.shepherd_mask)[1].amax(dim=-1, keepdim=True)
+            least = torch.where(gap < SHUT, config.lost, config.arrived)
+            arc = (share_inside(seen) < least).to(away.dtype)
+        else:
+            arc = away / radius - config.open_until
+            arc = (arc / (config.open_from - config.open_until)).clamp(0.0, 1.0)
+        arc = torch.where(team < self.manner.ring, 1.0, arc)
+        part = WHOLE / team
+        # a ring is where the team is; all turns by a part give the same places
+        turn = middle_of_ring(angle, seen.shepherd_mask)[..., None] - behind
+        turn = torch.remainder(turn + part / 2, part) - part / 2
+        driving = (away + clear).clamp(min=self.notice)
+        ring = self.notice + self.reach * radius
+        return Stance(
+            about=goal,
+            distance=arc * driving + (1 - arc) * ring,
+            middle=behind + (1 - arc) * turn,
+            spacing=arc * config.spacing + (1 - arc) * part,
+            along=arc < 1,
+            pace=torch.full_like(away, self.world.shepherd_speed),
+        )
+
+    def _alone(self, seen: WorldState, stance: Stance) -> Stance:
+        """Return where a lone shepherd faces the nearest stray, with most of them inside."""
+        goal, radius = seen.goal[..., None, :], seen.goal_radius[..., None]
+        own = bearing(masked_mean(seen.shepherds, seen.shepherd_mask)[..., None, :] - goal)
         gap = torch.where(seen.sheep_mask, distance_to_rim(seen), -torch.inf)  # (..., N) m
-        share = (gap <= 0).sum(dim=-1) / gap.shape[-1]
-        home = share >= torch.where(memory['home'], config.lost, config.arrived)
-        ring = torch.where(home & ~memory['home'], behind[..., 0], memory['ring'])
-        ring = self._turned_to_strays(seen, gap, ring, WHOLE / seen.team_size)
-        # that of three and more is where they are, so that who sees the team needs no memory
-        angle = bearing(seen.shepherds - seen.goal[..., None, :])
-        team_ring = middle_of_ring(angle, seen.shepherd_mask)
-        return torch.where(seen.team_size >= RING, team_ring, ring), home
+        outside = gap > self.config.patience
+        stray = bearing(seen.sheep - goal)  # (..., N)
+        off = torch.where(outside, wrap(stray - own).abs(), torch.inf)
+        least, nearest = off.min(dim=-1, keepdim=True)
+        there = torch.where(least < torch.inf, stray.gather(-1, nearest), own)
+        return replace(
+            stance,
+            distance=self.notice + self.reach * radius,
+            middle=there,
+            along=torch.ones_like(stance.along),
+            pace=self.config.stroll * stance.pace,
+        )
 
-    def _aside(self, seen: WorldState, behind: Tensor, away: Tensor) -> Tensor:
-        """Return where to stand to turn a flock on its way over the goal; (..., 1) rad."""
+    def _touch(self, seen: WorldState, behind: Tensor, away: Tensor, far: Tensor) -> Stance:
+        """Return where to touch the rim of a flock, to turn it on its way over the goal."""
         heading = bearing(masked_mean(seen.heading, seen.sheep_mask))[..., None]
         side = torch.where(torch.sin(heading - behind) >= 0, 1.0, -1.0)
-        crossing = 1 - away / (CROSSING * seen.goal_radius[..., None])
-        return behind - side * self.config.touch_turn * crossing.clamp(min=0.0)
+        crossing = (1 - away / (CROSSING * seen.goal_radius[..., None])).clamp(min=0.0)
+        return Stance(
+            about=seen.center[..., None, :],
+            distance=far + self.notice - self.config.touch,
+            middle=behind - side * self.config.touch_turn * crossing,
+            spacing=torch.full_like(away, self.config.touch_spacing),
+            along=torch.ones_like(away, dtype=torch.bool),
+            pace=torch.full_like(away, self.world.shepherd_speed),
+        )
 
-    def _turned_to_strays(
-        self, seen: WorldState, gap: Tensor, ring: Tensor, spacing: Tensor
-    ) -> Tensor:
-        """
-        Return the direction of the ring's middle, (...) rad, so that some place is behind strays.
-
-        The ring stays while a stray is in front of one of its places, else it turns to the
-        farthest.
-        """
-        edge = ring - (seen.team_size - 1) / 2 * spacing  # bearing of one of the places
-        stray = bearing(seen.sheep - seen.goal[..., None, :])  # (..., N)
-        off = torch.remainder(stray - edge[..., None], spacing[..., None])
-        off = torch.minimum(off, spacing[..., None] - off)
-        outside = gap > self.config.patience
-        watched = (outside & (off < FRONT)).any(dim=-1) | ~outside.any(dim=-1)
-        farthest = stray.gather(-1, gap.argmax(dim=-1, keepdim=True))[..., 0]
-        turned = farthest + (seen.team_size - 1) / 2 * spacing
-        return torch.where(watched, ring, turned)
-
-    def _along_circle(
-        self, seen: WorldState, about: Tensor, place: Tensor, stand: Tensor
-    ) -> Tensor:
-        """Return the way to places on a circle about a point, along it; (..., H, 2) m."""
-        out = seen.shepherds - about
+    def _along_circle(self, seen: WorldState, stance: Stance, place: Tensor) -> Tensor:
+        """Return the way to bearings (..., H) rad, along the circle; (..., H, 2) m."""
+        out, stand = seen.shepherds - stance.about, stance.distance
         distance = torch.linalg.vector_norm(out, dim=-1)
         angle = bearing(out)
-        turn = wrap(place - angle)
-        step = self.world.shepherd_speed * self.world.dt / stand
-        near = torch.full_like(stand, NEARLY_ON_RING)
-        nearer = (stand - distance).clamp(-step * stand, step * stand)
+        step = stance.pace / self.gain  # [m]
+        nearer = (stand - distance).clamp(-step, step)
+        near = torch.full_like(stand, NEARLY_ON_CIRCLE)
         outside = distance + nearer >= stand - torch.minimum(stand / 2, near)
-        turn = torch.where(outside, turn.clamp(-step, step), 0.0)
-        there = about + (distance + nearer)[..., None] * from_bearing(angle + turn)
+        turn = wrap(place - angle).clamp(-step / stand, step / stand)
+        turn = torch.where(outside, turn, 0.0)
+        there = stance.about + (distance + nearer)[..., None] * from_bearing(angle + turn)
         return there - seen.shepherds
 
     def _round(self, seen: WorldState, target: Tensor, center: Tensor, clear: Tensor) -> Tensor:
