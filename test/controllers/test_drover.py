@@ -8,9 +8,10 @@ from typing import Any
 
 import pytest
 from reference import state_of
+from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.controllers.base import Memory
-from shepherd_ros.controllers.drover import middle_of_ring, RING
+from shepherd_ros.controllers.drover import middle_of_ring
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.reward import distance_to_rim
 from shepherd_ros.sim.spawn import spawn
@@ -85,46 +86,75 @@ def test_with_the_flock_home_the_team_closes_a_ring_from_where_no_sheep_is_moved
     places, track = settle(state, 400, world)
     edge = NOTICE + 0.45 * 4.0
     assert places.norm(dim=-1).tolist() == pytest.approx([edge] * 3, abs=0.05)
-    bearing = torch.atan2(places[:, 1], places[:, 0]).sort().values
-    gaps = torch.cat([bearing.diff(), bearing[:1] + 2 * math.pi - bearing[-1:]])
-    assert gaps.tolist() == pytest.approx([2 * math.pi / 3] * 3, abs=0.02)
+    assert gaps_of(places) == pytest.approx([2 * math.pi / 3] * 3, abs=0.02)
     # once out there nobody cuts through
     out = [float(at.norm(dim=-1).min()) for at in track]
     assert min(out[20:]) > NOTICE
 
 
+def gaps_of(places: Tensor) -> list[float]:
+    """Return the angles between neighbours (H, 2) m around the origin [rad]."""
+    bearing = torch.atan2(places[:, 1], places[:, 0]).sort().values
+    return torch.cat([bearing.diff(), bearing[:1] + 2 * math.pi - bearing[-1:]]).tolist()
+
+
+@pytest.mark.parametrize(
+    ('away', 'arc'), [(4.0, 1.0), (2.2, 0.5), (1.3, 0.25), (0.4, 0.0), (0.1, 0.0)]
+)
+def test_the_arc_opens_as_the_flock_comes_home(away: float, arc: float) -> None:
+    # an arc from one goal radius (4 m) on, a ring within a tenth: half of each at 2.2 m
+    world = replace(WORLD, n_shepherds=3)
+    state = scene(square(away, 0), [(20.0, -2.0), (20.0, 0.0), (20.0, 2.0)])
+    places, _ = settle(state, 400, world)
+    distance = arc * NOTICE + (1 - arc) * (NOTICE + 0.45 * 4)
+    assert places.norm(dim=-1).tolist() == pytest.approx([distance] * 3, abs=0.05)
+    spacing = arc * 0.25 + (1 - arc) * 2 * math.pi / 3
+    rest = 2 * math.pi - 2 * spacing
+    assert sorted(gaps_of(places)) == pytest.approx(sorted([spacing, spacing, rest]), abs=0.02)
+
+
+def test_it_remembers_nothing() -> None:
+    controller = make_controller('drover', replace(WORLD, n_shepherds=3))
+    state = scene(square(1, 0), [(20.0, -2.0), (-10.0, 15.0), (-12.0, -14.0)])
+    assert controller.begin(state) == {}
+    command, memory = controller.act(state, {})
+    assert memory == {}
+    assert torch.equal(command, controller.act(state, {})[0])
+
+
 @pytest.mark.parametrize(('inside', 'home'), [(3, False), (4, True)])
-def test_it_lets_go_when_enough_are_inside(inside: int, home: bool) -> None:
-    sheep = [(0.0, 0.5 * k) for k in range(inside)] + [(6.0, 0.0)] * (5 - inside)
+def test_a_lone_shepherd_faces_strays_when_enough_are_inside(inside: int, home: bool) -> None:
+    sheep = [(0.0, 0.0)] * inside + [(0.0, 6.0)] * (5 - inside)
     world = WorldConfig(n_sheep=5, n_shepherds=1)
-    controller = make_controller('drover', world)
-    state = scene(sheep, [(20.0, 0.0)])
-    _, memory = controller.act(state, controller.begin(state))
-    assert bool(memory['home']) is home
+    place, _ = settle(scene(sheep, [(24.0, 0.0)]), 400, world)
+    # 0.8 inside: before the stray, beyond the goal's edge; else behind the flock's center
+    assert place.tolist() == pytest.approx([0.0, NOTICE + 0.45 * 4 * home], abs=0.1)
 
 
-def test_a_few_that_stray_do_not_make_it_drive_again() -> None:
-    world = WorldConfig(n_sheep=5, n_shepherds=1)
-    controller = make_controller('drover', world)
-    home = scene([(0.0, 0.0)] * 5, [(23.0, 0.0)])
-    _, memory = controller.act(home, controller.begin(home))
-    for outside, stays in [(2, True), (3, False)]:  # 0.6 and 0.4 inside, 0.5 is the limit
-        strays = scene([(0.0, 0.0)] * (5 - outside) + [(6.0, 0.0)] * outside, [(23.0, 0.0)])
-        _, after = controller.act(strays, memory)
-        assert bool(after['home']) is stays
-
-
-def test_a_lone_shepherd_turns_to_the_farthest_stray() -> None:
-    home = scene([(0.0, 0.0)] * 9 + [(0.0, 6.0)], [(24.0, 0.0)])
+def test_a_lone_shepherd_turns_to_the_stray_beside_it() -> None:
     world = WorldConfig(n_sheep=10, n_shepherds=1)
-    place, _ = settle(home, 400, world)
-    assert place.tolist() == pytest.approx([0.0, NOTICE + 0.45 * 4], abs=0.3)
+    edge = NOTICE + 0.45 * 4
+    for start, stray in [((20.0, 13.0), (0.0, 6.0)), ((20.0, -13.0), (0.0, -5.0))]:
+        home = scene([(0.0, 0.0)] * 8 + [(0.0, 6.0), (0.0, -5.0)], [start])
+        place, _ = settle(home, 400, world)
+        expected = [0.0, math.copysign(edge, stray[1])]
+        assert place.tolist() == pytest.approx(expected, abs=0.1)
+
+
+def test_with_all_inside_a_lone_shepherd_stays_where_it_is() -> None:
+    place, _ = settle(scene(square(0, 0), [(0.0, NOTICE + 1.8)]), 50)
+    assert place.tolist() == pytest.approx([0.0, NOTICE + 1.8], abs=1e-6)
+
+
+def test_an_arc_that_opens_after_it_is_a_ring_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r'open_until is 1\.5: expected less than open_from'):
+        make_controller('drover', WORLD, open_until=1.5)
 
 
 def test_how_near_sheep_notice_is_that_of_the_flock_or_what_is_given() -> None:
     world = replace(WORLD, n_shepherds=3, flock=ReynoldsFlock())
     team = [(9.0, -2.0), (9.0, 0.0), (9.0, 2.0)]
-    places, _ = settle(scene(square(1, 0), team), 100, world, arrived=1.0)
+    places, _ = settle(scene(square(1, 0), team), 100, world)
     # all four are inside: a ring so narrow that none can be there unnoticed
     assert places.norm(dim=-1).tolist() == pytest.approx([7.5 - 0.25 * 4] * 3, abs=0.1)
     place, _ = settle(scene(square(10, 0), [(30.0, 0.0)]), 100, notice=25.0)
@@ -161,18 +191,6 @@ def test_the_ring_of_three_and_more_is_where_they_are(turn: float) -> None:
         assert places(*angles) == pytest.approx(expected, abs=1e-5)
 
 
-def test_a_ring_of_three_needs_no_memory() -> None:
-    world = replace(WORLD, n_shepherds=3)
-    controller = make_controller('drover', world)
-    state = scene(square(0, 0), [(20.0, -2.0), (-10.0, 15.0), (-12.0, -14.0)])
-    commands = [
-        controller.act(state, {'home': torch.tensor([home]), 'ring': torch.tensor([ring])})[0]
-        for home, ring in [(True, 0.0), (True, 2.0), (False, -1.0)]
-    ]
-    assert torch.equal(commands[0], commands[1])
-    assert torch.equal(commands[0], commands[2])
-
-
 @pytest.mark.parametrize('shepherds', [1, 2])
 def test_sheep_that_never_rest_are_kept_near_the_goal_by_one_or_two(shepherds: int) -> None:
     world = WorldConfig(n_sheep=50, n_shepherds=shepherds, flock=ReynoldsFlock())
@@ -191,10 +209,10 @@ def test_sheep_that_never_rest_are_kept_near_the_goal_by_one_or_two(shepherds: i
 
 def test_sheep_that_never_rest_are_kept_home_by_a_ring_of_three_and_more() -> None:
     world = WorldConfig(n_sheep=50, n_shepherds=6, flock=ReynoldsFlock())
-    world = replace(world, spawn=replace(world.spawn, fewest_shepherds=RING))
+    world = replace(world, spawn=replace(world.spawn, fewest_shepherds=3))
     controller = make_controller('drover', world)
     state = spawn(world, torch.arange(16))
-    assert int(state.team_size.min()) >= RING
+    assert int(state.team_size.min()) >= 3
     memory = controller.begin(state)
     for _ in range(600):
         command, memory = controller.act(state, memory)
