@@ -61,7 +61,7 @@ class DroverConfig(Config):
         low=0.0,
     )
     open_from: float = option(
-        1.0, 'the arc begins to open with the flock so near the goal [goal radii]', low=0.0
+        1.5, 'the arc begins to open with the flock so near the goal [goal radii]', low=0.0
     )
     open_until: float = option(0.1, 'and is a ring with it so near [goal radii]', low=0.0)
     arrived: float = option(
@@ -72,7 +72,9 @@ class DroverConfig(Config):
         0.8, 'share inside with which a lone shepherd turns to strays', low=0.0, high=1.0
     )
     patience: float = option(0.5, 'that is to sheep so far outside [m]', low=0.0)
-    stroll: float = option(0.5, 'and so fast, of the top speed', low=0.01, high=1.0)
+    stroll: float = option(
+        0.25, 'pace on a ring about sheep that rest, of the top speed', low=0.01, high=1.0
+    )
     touch: float = option(
         0.8, 'one or two touch a flock that never rests by so much of its view [m]', low=0.0
     )
@@ -180,6 +182,7 @@ class DroverController(Controller):
         self.restless = isinstance(self.world.flock, ReynoldsFlock)
         self.manner = QUICK if self.restless else GENTLE
         self.notice = config.notice or notice_range(self.world)
+        self.pace = 1.0 if self.restless else config.stroll
         self.reach = config.reach or self.manner.reach
         self.gain = config.gain or self.manner.gain
 
@@ -236,7 +239,7 @@ class DroverController(Controller):
             middle=behind + (1 - arc) * turn,
             spacing=arc * config.spacing + (1 - arc) * part,
             along=arc < 1,
-            pace=torch.full_like(away, self.world.shepherd_speed),
+            pace=self.world.shepherd_speed * torch.where(arc < 1, self.pace, 1.0),
         )
 
     def _alone(self, seen: WorldState, stance: Stance) -> Stance:
@@ -254,7 +257,7 @@ class DroverController(Controller):
             distance=self.notice + self.reach * radius,
             middle=there,
             along=torch.ones_like(stance.along),
-            pace=self.config.stroll * stance.pace,
+            pace=self.config.stroll * torch.full_like(stance.pace, self.world.shepherd_speed),
         )
 
     def _touch(self, seen: WorldState, behind: Tensor, away: Tensor, far: Tensor) -> Stance:
