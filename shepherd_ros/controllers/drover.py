@@ -7,7 +7,7 @@ it need not follow the flock, only turn about the goal. As the flock comes home 
 a ring, from where only sheep far from the middle notice it. Sheep that never rest are driven from
 near and with haste, and the ring is so narrow that they are turned back wherever they go. One or
 two shepherds cannot close it: they run around such a flock and only ever touch its rim, so that it
-turns to and fro over the goal.
+turns back and forth over the goal.
 
 All of it follows from what is there now: the drover remembers nothing, so that whoever sees the
 same can learn it.
@@ -16,24 +16,27 @@ same can learn it.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-import math
 from typing import Any
 
 from shepherd_ros.config import Config, ConfigError, option
-from shepherd_ros.controllers.base import Controller, Memory, places_on_arc
+from shepherd_ros.controllers.base import Controller, Memory
+from shepherd_ros.controllers.stance import (
+    bearings_in_order,
+    middle_of_ring,
+    Stance,
+    way_round,
+    WHOLE,
+)
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.reward import distance_to_rim
 from shepherd_ros.sim.state import WorldState
-from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, masked_mean, unit, wrap
+from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, masked_mean, wrap
 from shepherd_ros.sim.world import WorldConfig
 import torch
 from torch import Tensor
 
-WHOLE = 2 * math.pi  # [rad]
-FULL_SPEED = 10.0  # [m] a way so long is gone at the top speed
 CROSSING = 0.75  # [goal radii] a flock so near the middle of the goal is turned
-NEARLY_ON_CIRCLE = 0.5  # [m] so near a circle, or half a smaller one, the way along it begins
 SHUT = 4.0  # [rad] a team without a wider gap stands on a ring
 
 
@@ -71,7 +74,7 @@ class DroverConfig(Config):
     alone: float = option(
         0.8, 'share inside with which a lone shepherd turns to strays', low=0.0, high=1.0
     )
-    patience: float = option(0.5, 'that is to sheep so far outside [m]', low=0.0)
+    patience: float = option(0.5, 'a stray is a sheep so far outside [m]', low=0.0)
     stroll: float = option(
         0.25, 'pace on a ring about sheep that rest, of the top speed', low=0.01, high=1.0
     )
@@ -118,55 +121,10 @@ def notice_range(world: WorldConfig) -> float:
     return flock.view_range if isinstance(flock, ReynoldsFlock) else 10.0
 
 
-def bearings_in_order(angle: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-    """
-    Return bearings (..., H) in [0, 2 pi) rad in order, and the gap after each, around the circle.
-
-    mask (..., H) says who is there; the others come last, at inf and with a gap of -inf.
-    """
-    count = mask.sum(dim=-1, keepdim=True)
-    angle = torch.where(mask, torch.remainder(angle, WHOLE), torch.inf).sort(dim=-1).values
-    index = torch.arange(angle.shape[-1], device=angle.device)
-    following = torch.where(index == count - 1, angle[..., :1] + WHOLE, angle.roll(-1, dims=-1))
-    return angle, torch.where(index < count, following - angle, -torch.inf)
-
-
-def middle_of_ring(angle: Tensor, mask: Tensor) -> Tensor:
-    """
-    Return the middle of places all around that are, in the mean, where shepherds are; (...) rad.
-
-    angle (..., H) rad are the shepherds' bearings, mask (..., H) says who is there. It is their
-    mean, read from the widest gap between them on; on a whole ring all gaps give the same places.
-    """
-    angle, gap = bearings_in_order(angle, mask)
-    widest = gap.argmax(dim=-1, keepdim=True)
-    index = torch.arange(angle.shape[-1], device=angle.device)
-    angle = torch.where(gap > -torch.inf, angle + WHOLE * (index <= widest), 0.0)
-    return wrap(angle.sum(dim=-1) / mask.sum(dim=-1).clamp(min=1))
-
-
 def share_inside(seen: WorldState) -> Tensor:
     """Return the share of the flock in the goal, (..., 1)."""
     inside = (distance_to_rim(seen) <= 0) & seen.sheep_mask
     return inside.sum(dim=-1, keepdim=True) / seen.sheep_mask.sum(dim=-1, keepdim=True)
-
-
-@dataclass(frozen=True)
-class Stance:
-    """Places for a team: on a circle, evenly apart; (..., 1) each."""
-
-    about: Tensor  # the circle's middle, (..., 1, 2) m
-    distance: Tensor  # its radius [m]
-    middle: Tensor  # bearing of the middle of the places [rad]
-    spacing: Tensor  # between them [rad]
-    along: Tensor  # whether the way to them is along the circle, else round the flock
-    pace: Tensor  # top speed on that way [m/s]
-
-    def where(self, mask: Tensor, other: Stance) -> Stance:
-        """Return this one where the mask (..., 1) is set, else the other."""
-        pairs = {name: (getattr(self, name), getattr(other, name)) for name in vars(self)}
-        about = torch.where(mask[..., None], *pairs.pop('about'))
-        return Stance(about, **{name: torch.where(mask, *pair) for name, pair in pairs.items()})
 
 
 class DroverController(Controller):
@@ -205,11 +163,10 @@ class DroverController(Controller):
             inside = share_inside(seen) >= self.config.alone
             stance = self._alone(seen, stance).where(few & inside, stance)
 
-        around = wrap(bearing(seen.shepherds - stance.about) - stance.middle)
-        place = stance.middle + places_on_arc(around, stance.spacing, seen.shepherd_mask)
-        along = self._along_circle(seen, stance, place)
+        place = stance.places(seen)
         target = stance.about + stance.distance[..., None] * from_bearing(place)
-        way = torch.where(stance.along[..., None], along, self._round(seen, target, center, clear))
+        along = stance.way_along(seen, place, self.gain)
+        way = torch.where(stance.along[..., None], along, way_round(seen, target, center, clear))
         return clip_norm(way * self.gain, self.world.shepherd_speed), memory
 
     def _arc_or_ring(
@@ -273,36 +230,6 @@ class DroverController(Controller):
             along=torch.ones_like(away, dtype=torch.bool),
             pace=torch.full_like(away, self.world.shepherd_speed),
         )
-
-    def _along_circle(self, seen: WorldState, stance: Stance, place: Tensor) -> Tensor:
-        """Return the way to bearings (..., H) rad, along the circle; (..., H, 2) m."""
-        out, stand = seen.shepherds - stance.about, stance.distance
-        distance = torch.linalg.vector_norm(out, dim=-1)
-        angle = bearing(out)
-        step = stance.pace / self.gain  # [m]
-        nearer = (stand - distance).clamp(-step, step)
-        near = torch.full_like(stand, NEARLY_ON_CIRCLE)
-        outside = distance + nearer >= stand - torch.minimum(stand / 2, near)
-        turn = wrap(place - angle).clamp(-step / stand, step / stand)
-        turn = torch.where(outside, turn, 0.0)
-        there = stance.about + (distance + nearer)[..., None] * from_bearing(angle + turn)
-        return there - seen.shepherds
-
-    def _round(self, seen: WorldState, target: Tensor, center: Tensor, clear: Tensor) -> Tensor:
-        """Return the way to take to a target, (..., H, 2) m, not through the flock."""
-        from_center = seen.shepherds - center
-        distance = torch.linalg.vector_norm(from_center, dim=-1)
-        turn = wrap(bearing(target - center) - bearing(from_center))
-        straight = target - seen.shepherds
-        # nearest point of the straight way to the center
-        length = torch.linalg.vector_norm(straight, dim=-1).clamp(min=1e-6)
-        along = (-(from_center * straight).sum(dim=-1) / length.square()).clamp(0.0, 1.0)
-        nearest = torch.linalg.vector_norm(from_center + along[..., None] * straight, dim=-1)
-        blocked = (nearest < torch.minimum(clear, distance) - 0.01) & (turn.abs() > 0.2)
-        side = torch.where(turn >= 0, 1.0, -1.0) * (math.pi / 2)
-        tangent = from_bearing(bearing(from_center) + side)
-        outward = unit(from_center) * ((clear - distance).clamp(0.0, 1.0))[..., None]
-        return torch.where(blocked[..., None], (tangent + outward) * FULL_SPEED, straight)
 
 
 CONTROLLER = DroverController

@@ -11,7 +11,7 @@ from reference import state_of
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.controllers.base import Memory
-from shepherd_ros.controllers.drover import middle_of_ring
+from shepherd_ros.controllers.stance import middle_of_ring
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.reward import distance_to_rim
 from shepherd_ros.sim.spawn import spawn
@@ -83,7 +83,7 @@ def test_three_stand_on_an_arc_with_the_chosen_angle() -> None:
 def test_with_the_flock_home_the_team_closes_a_ring_from_where_no_sheep_is_moved() -> None:
     world = replace(WORLD, n_shepherds=3)
     state = scene(square(0, 0), [(20.0, -2.0), (20.0, 0.0), (20.0, 2.0)])
-    places, track = settle(state, 400, world)
+    places, track = settle(state, 700, world)
     edge = NOTICE + 0.45 * 4.0
     assert places.norm(dim=-1).tolist() == pytest.approx([edge] * 3, abs=0.05)
     assert gaps_of(places) == pytest.approx([2 * math.pi / 3] * 3, abs=0.02)
@@ -99,13 +99,13 @@ def gaps_of(places: Tensor) -> list[float]:
 
 
 @pytest.mark.parametrize(
-    ('away', 'arc'), [(4.0, 1.0), (2.2, 0.5), (1.3, 0.25), (0.4, 0.0), (0.1, 0.0)]
+    ('away', 'arc'), [(6.0, 1.0), (3.2, 0.5), (1.8, 0.25), (0.4, 0.0), (0.1, 0.0)]
 )
 def test_the_arc_opens_as_the_flock_comes_home(away: float, arc: float) -> None:
-    # an arc from one goal radius (4 m) on, a ring within a tenth: half of each at 2.2 m
+    # an arc from 1.5 goal radii (6 m) on, a ring within a tenth: half of each at 3.2 m
     world = replace(WORLD, n_shepherds=3)
     state = scene(square(away, 0), [(20.0, -2.0), (20.0, 0.0), (20.0, 2.0)])
-    places, _ = settle(state, 400, world)
+    places, _ = settle(state, 700, world)
     distance = arc * NOTICE + (1 - arc) * (NOTICE + 0.45 * 4)
     assert places.norm(dim=-1).tolist() == pytest.approx([distance] * 3, abs=0.05)
     spacing = arc * 0.25 + (1 - arc) * 2 * math.pi / 3
@@ -126,7 +126,7 @@ def test_it_remembers_nothing() -> None:
 def test_a_lone_shepherd_faces_strays_when_enough_are_inside(inside: int, home: bool) -> None:
     sheep = [(0.0, 0.0)] * inside + [(0.0, 6.0)] * (5 - inside)
     world = WorldConfig(n_sheep=5, n_shepherds=1)
-    place, _ = settle(scene(sheep, [(24.0, 0.0)]), 400, world)
+    place, _ = settle(scene(sheep, [(24.0, 0.0)]), 700, world)
     # 0.8 inside: before the stray, beyond the goal's edge; else behind the flock's center
     assert place.tolist() == pytest.approx([0.0, NOTICE + 0.45 * 4 * home], abs=0.1)
 
@@ -136,7 +136,7 @@ def test_a_lone_shepherd_turns_to_the_stray_beside_it() -> None:
     edge = NOTICE + 0.45 * 4
     for start, stray in [((20.0, 13.0), (0.0, 6.0)), ((20.0, -13.0), (0.0, -5.0))]:
         home = scene([(0.0, 0.0)] * 8 + [(0.0, 6.0), (0.0, -5.0)], [start])
-        place, _ = settle(home, 400, world)
+        place, _ = settle(home, 700, world)
         expected = [0.0, math.copysign(edge, stray[1])]
         assert place.tolist() == pytest.approx(expected, abs=0.1)
 

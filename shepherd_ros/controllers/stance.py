@@ -1,0 +1,97 @@
+"""Places of a team on a circle, and the ways to them that do not cut through the flock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+from shepherd_ros.controllers.base import places_on_arc
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.vectors import bearing, from_bearing, unit, wrap
+import torch
+from torch import Tensor
+
+WHOLE = 2 * math.pi  # [rad]
+FULL_SPEED = 10.0  # [m] a way so long is gone at the top speed
+NEARLY_ON_CIRCLE = 0.5  # [m] so near a circle, or half a smaller one, the way along it begins
+
+
+def bearings_in_order(angle: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """
+    Return bearings (..., H) in [0, 2 pi) rad in order, and the gap after each, around the circle.
+
+    mask (..., H) says who is there; the others come last, at inf and with a gap of -inf.
+    """
+    count = mask.sum(dim=-1, keepdim=True)
+    angle = torch.where(mask, torch.remainder(angle, WHOLE), torch.inf).sort(dim=-1).values
+    index = torch.arange(angle.shape[-1], device=angle.device)
+    following = torch.where(index == count - 1, angle[..., :1] + WHOLE, angle.roll(-1, dims=-1))
+    return angle, torch.where(index < count, following - angle, -torch.inf)
+
+
+def middle_of_ring(angle: Tensor, mask: Tensor) -> Tensor:
+    """
+    Return the middle of places all around that are, in the mean, where shepherds are; (...) rad.
+
+    angle (..., H) rad are the shepherds' bearings, mask (..., H) says who is there. It is their
+    mean, read from the widest gap between them on; on a whole ring all gaps give the same places.
+    """
+    angle, gap = bearings_in_order(angle, mask)
+    widest = gap.argmax(dim=-1, keepdim=True)
+    index = torch.arange(angle.shape[-1], device=angle.device)
+    angle = torch.where(gap > -torch.inf, angle + WHOLE * (index <= widest), 0.0)
+    return wrap(angle.sum(dim=-1) / mask.sum(dim=-1).clamp(min=1))
+
+
+@dataclass(frozen=True)
+class Stance:
+    """Places for a team: on a circle, evenly apart; (..., 1) each."""
+
+    about: Tensor  # the circle's middle, (..., 1, 2) m
+    distance: Tensor  # its radius [m]
+    middle: Tensor  # bearing of the middle of the places [rad]
+    spacing: Tensor  # between them [rad]
+    along: Tensor  # whether the way to them is along the circle, else round the flock
+    pace: Tensor  # top speed on that way [m/s]
+
+    def where(self, mask: Tensor, other: Stance) -> Stance:
+        """Return this one where the mask (..., 1) is set, else the other."""
+        pairs = {name: (getattr(self, name), getattr(other, name)) for name in vars(self)}
+        about = torch.where(mask[..., None], *pairs.pop('about'))
+        return Stance(about, **{name: torch.where(mask, *pair) for name, pair in pairs.items()})
+
+    def places(self, seen: WorldState) -> Tensor:
+        """Return a bearing for each shepherd, (..., H) rad."""
+        around = wrap(bearing(seen.shepherds - self.about) - self.middle)
+        return self.middle + places_on_arc(around, self.spacing, seen.shepherd_mask)
+
+    def way_along(self, seen: WorldState, place: Tensor, gain: float) -> Tensor:
+        """Return the way to bearings (..., H) rad, along the circle; (..., H, 2) m."""
+        out, stand = seen.shepherds - self.about, self.distance
+        distance = torch.linalg.vector_norm(out, dim=-1)
+        angle = bearing(out)
+        step = self.pace / gain  # [m] the way that is gone at that pace
+        nearer = (stand - distance).clamp(-step, step)
+        near = torch.full_like(stand, NEARLY_ON_CIRCLE)
+        outside = distance + nearer >= stand - torch.minimum(stand / 2, near)
+        turn = wrap(place - angle).clamp(-step / stand, step / stand)
+        turn = torch.where(outside, turn, 0.0)
+        there = self.about + (distance + nearer)[..., None] * from_bearing(angle + turn)
+        return there - seen.shepherds
+
+
+def way_round(seen: WorldState, target: Tensor, center: Tensor, clear: Tensor) -> Tensor:
+    """Return the way to take to a target, (..., H, 2) m, not through the flock."""
+    from_center = seen.shepherds - center
+    distance = torch.linalg.vector_norm(from_center, dim=-1)
+    turn = wrap(bearing(target - center) - bearing(from_center))
+    straight = target - seen.shepherds
+    # nearest point of the straight way to the center
+    length = torch.linalg.vector_norm(straight, dim=-1).clamp(min=1e-6)
+    along = (-(from_center * straight).sum(dim=-1) / length.square()).clamp(0.0, 1.0)
+    nearest = torch.linalg.vector_norm(from_center + along[..., None] * straight, dim=-1)
+    blocked = (nearest < torch.minimum(clear, distance) - 0.01) & (turn.abs() > 0.2)
+    side = torch.where(turn >= 0, 1.0, -1.0) * (math.pi / 2)
+    tangent = from_bearing(bearing(from_center) + side)
+    outward = unit(from_center) * ((clear - distance).clamp(0.0, 1.0))[..., None]
+    return torch.where(blocked[..., None], (tangent + outward) * FULL_SPEED, straight)
