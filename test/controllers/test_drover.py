@@ -195,7 +195,7 @@ def test_the_ring_of_three_and_more_is_where_they_are(turn: float) -> None:
 def test_sheep_that_never_rest_are_kept_near_the_goal_by_one_or_two(shepherds: int) -> None:
     world = WorldConfig(n_sheep=50, n_shepherds=shepherds, flock=ReynoldsFlock())
     controller = make_controller('drover', world)
-    state = spawn(world, torch.arange(16))
+    state = spawn(world, torch.arange(8))
     memory = controller.begin(state)
     inside = []
     for k in range(700):

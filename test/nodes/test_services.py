@@ -217,16 +217,17 @@ def test_a_controller_sees_a_moved_goal_from_the_very_state_with_which_it_was_to
 ) -> None:
     track = graph.track()
     goals = graph.collect('goal', PoseStamped, LATCHED)
-    graph.start('flock_sim', n_sheep=10, n_shepherds=2, episode_steps=60, episodes=1)
+    graph.start('flock_sim', n_sheep=10, n_shepherds=2, episode_steps=400, episodes=1)
     publisher = graph.publisher('goal_pose', PoseStamped)
     graph.until(lambda: track.stamps and goals, 'the first state and goal')
+    graph.until(publisher.get_subscription_count, 'a reader of goal_pose')
     graph.start(controller)
     for k in range(4):
         graph.until(lambda k=k: len(track.stamps) > 10 * k + 2, 'some steps')
         publisher.publish(pose_of(5.0 * k, -8.0))
-    graph.until(lambda: len(track.stamps) == 61, 'the whole episode')
+    graph.until(lambda: len(track.stamps) == 401, 'the whole episode')
     assert len(goals) == 5
-    world = WorldConfig(n_sheep=10, n_shepherds=2, episode_steps=60)
+    world = WorldConfig(n_sheep=10, n_shepherds=2, episode_steps=400)
     assert_same_states(track, run_with_a_moving_goal(track, goals, controller, world))
 
 
