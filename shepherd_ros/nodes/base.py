@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib import import_module
 import time
-from typing import Any
+from typing import Any, ClassVar
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -43,6 +43,8 @@ def quality(topic: str, subscribe: bool = False) -> QoSProfile:
 
 class ShepherdNode(Node):
     """A node with topics from the contract and a report on /diagnostics every second."""
+
+    backlog: ClassVar[int] = 0  # messages that wait for it at least, if that is more than usual
 
     def __init__(self, name: str, *, bus: Bus | None = None, **kwargs: Any) -> None:
         """Create the node; nodes of a process may share a bus. The rest is for rclpy's Node."""
@@ -82,6 +84,7 @@ class ShepherdNode(Node):
         row = contract()[0][topic]
         name = topic.format(h=shepherd)
         profile = quality(topic, subscribe=True)
+        profile.depth = max(profile.depth, self.backlog)
         subscription = self.create_subscription(
             message_type(kind or row.type), name, callback, profile, raw=raw
         )

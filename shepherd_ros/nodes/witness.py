@@ -21,6 +21,8 @@ from shepherd_ros.sim.state import stack, WorldState
 class Witness(ShepherdNode):
     """Listens to a whole stack and keeps what it hears of the first episode."""
 
+    backlog = 10_000  # it hears more than anybody and may be slower than the stack
+
     def __init__(self, shepherd: int = 0, **kwargs: Any) -> None:
         """Listen to everything, to the scans of one shepherd only."""
         super().__init__('witness', **kwargs)
@@ -78,7 +80,7 @@ def witnessing(shepherd: int = 0) -> Iterator[tuple[Witness, Callable[[float], N
     """Give a witness and a function that lets it hear for at most some time [s]."""
     rclpy.init()
     node = Witness(shepherd)
-    executor = make_executor('single')
+    executor = make_executor('events')
     executor.add_node(node)
     try:
         yield node, lambda seconds: executor.spin_once(timeout_sec=seconds)
