@@ -168,7 +168,7 @@ def test_node_and_law_differ_from_the_recording_in_the_same_way(
 def test_a_shepherd_that_is_not_answered_for_is_missing(
     pure: Path, monkeypatch: pytest.MonkeyPatch, shepherd: Callable[..., Said]
 ) -> None:
-    monkeypatch.setattr(questioner, 'PATIENCE', 15.0)
+    monkeypatch.setattr(questioner, 'PATIENCE', 10.0)
     words = ['--controller', 'pierson', '-p', f'noise_std:={NOISE}', 'shepherd_ids:=[1]']
     code, out, _ = shepherd('replay', pure, *words)
     assert code == 1

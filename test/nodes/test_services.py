@@ -226,7 +226,8 @@ def test_a_controller_sees_a_moved_goal_from_the_very_state_with_which_it_was_to
         graph.until(lambda k=k: len(track.stamps) > 10 * k + 2, 'some steps')
         publisher.publish(pose_of(5.0 * k, -8.0))
     graph.until(lambda: len(track.stamps) == 401, 'the whole episode')
-    assert len(goals) == 5
+    # the first may be told again while the controller starts
+    assert len({(goal.pose.position.x, goal.pose.position.y) for goal in goals}) == 5
     world = WorldConfig(n_sheep=10, n_shepherds=2, episode_steps=400)
     assert_same_states(track, run_with_a_moving_goal(track, goals, controller, world))
 
