@@ -114,12 +114,15 @@ def test_the_arc_opens_as_the_flock_comes_home(away: float, arc: float) -> None:
 
 
 def test_it_remembers_nothing() -> None:
-    controller = make_controller('drover', replace(WORLD, n_shepherds=3))
-    state = scene(square(1, 0), [(20.0, -2.0), (-10.0, 15.0), (-12.0, -14.0)])
-    assert controller.begin(state) == {}
-    command, memory = controller.act(state, {})
-    assert memory == {}
-    assert torch.equal(command, controller.act(state, {})[0])
+    world = WorldConfig(n_sheep=20, n_shepherds=3)
+    controller = make_controller('drover', world)
+    state = spawn(world, torch.arange(4))
+    memory = controller.begin(state)
+    for _ in range(200):  # the flock comes home on the way
+        command, memory = controller.act(state, memory)
+        assert torch.equal(command, controller.act(state, controller.begin(state))[0])
+        state = step(state, command, world)
+    assert float((distance_to_rim(state) <= 0).float().mean()) > 0.9
 
 
 @pytest.mark.parametrize(('inside', 'home'), [(3, False), (4, True)])
