@@ -4,10 +4,10 @@ The drover, a heuristic of this project: drives from far behind, lets go when th
 Pushes do not grow with nearness in the Strömbom flock, and sheep rest while nobody is near. So the
 team stands on an arc behind the flock, seen from the goal, as far as it can and still be noticed;
 it need not follow the flock, only turn about the goal. As the flock comes home the arc opens into
-a ring, from where only sheep far from the middle notice it. Sheep that never rest are driven from
-near and with haste, and the ring is so narrow that they are turned back wherever they go. One or
+a ring, from where only sheep far from the middle notice it. Sheep that never rest notice it from
+nearer; it runs to its ring, which is so narrow that they are turned back wherever they go. One or
 two shepherds cannot close it: they run around such a flock and only ever touch its rim, so that it
-turns back and forth over the goal.
+turns back and forth over the goal. Shepherds that come near each other pass on the right.
 
 All of it follows from what is there now: the drover remembers nothing, so that whoever sees the
 same can learn it.
@@ -16,7 +16,7 @@ same can learn it.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.controllers.base import Controller, Memory
@@ -24,6 +24,7 @@ from shepherd_ros.controllers.stance import (
     bearings_in_order,
     middle_of_ring,
     Stance,
+    way_apart,
     way_round,
     WHOLE,
 )
@@ -36,6 +37,7 @@ from shepherd_ros.sim.world import WorldConfig
 import torch
 from torch import Tensor
 
+EDGE = 2**0.5  # of a disc, over the root mean square distance from its middle
 CROSSING = 0.75  # [goal radii] a flock so near the middle of the goal is turned
 SHUT = 4.0  # [rad] a team without a wider gap stands on a ring
 
@@ -47,8 +49,9 @@ class DroverConfig(Config):
     notice: float = option(
         0.0, 'sheep notice shepherds so near [m]; 0: as the flock of the world', low=0.0
     )
-    stand_off: float = option(
-        0.0, 'least distance to the flock while driving [m]; 0: as suits the flock', low=0.0
+    stand_off: float = option(4.5, 'least distance to the flock while driving [m]', low=0.0)
+    apart: float = option(
+        1.5, 'shepherds nearer to each other than this make way [m]; 0: none does', low=0.0
     )
     spacing: float = option(0.25, 'angle between neighbours on the arc [rad]', low=0.0)
     reach: float = option(
@@ -58,11 +61,7 @@ class DroverConfig(Config):
         low=-1.0,
         high=1.0,
     )
-    gain: float = option(
-        0.0,
-        'speed over the distance to a place, K_d [1/s]; 0: as suits the flock',
-        low=0.0,
-    )
+    gain: float = option(0.5, 'speed over the distance to a place, K_d [1/s]', low=0.01)
     open_from: float = option(
         1.5, 'the arc begins to open with the flock so near the goal [goal radii]', low=0.0
     )
@@ -79,7 +78,7 @@ class DroverConfig(Config):
         0.25, 'pace on a ring about sheep that rest, of the top speed', low=0.01, high=1.0
     )
     touch: float = option(
-        0.8, 'one or two touch a flock that never rests by so much of its view [m]', low=0.0
+        0.4, 'one or two touch a flock that never rests by so much of its view [m]', low=0.0
     )
     touch_from: float = option(
         1.5, 'they do while its middle is so near the goal [goal radii]', low=0.0
@@ -98,19 +97,15 @@ class DroverConfig(Config):
             )
 
 
-@dataclass(frozen=True)
-class Manner:
-    """How a flock is driven: the options of the same names, and who can close a ring."""
+class Ring(NamedTuple):
+    """The ring about a flock that is home."""
 
-    stand_off: float  # [m]
-    reach: float  # [goal radii]
-    gain: float  # [1/s]
-    ring: int  # shepherds
+    reach: float  # the option of that name [goal radii]
+    least: int  # shepherds who can close it
 
 
-GENTLE = Manner(4.0, 0.45, 0.5, 2)  # for sheep that rest when nobody is near
-QUICK = Manner(2.0, -0.25, 1.0, 3)  # for sheep that never rest
-FEW_OFF = 4.0  # [m] stand_off of too few for a ring about sheep that never rest
+WIDE = Ring(0.45, 2)  # about sheep that rest when nobody is near
+NARROW = Ring(-0.15, 3)  # about sheep that never rest
 
 
 def notice_range(world: WorldConfig) -> float:
@@ -138,22 +133,20 @@ class DroverController(Controller):
         super().__init__(*args, **options)
         config: DroverConfig = self.config
         self.restless = isinstance(self.world.flock, ReynoldsFlock)
-        self.manner = QUICK if self.restless else GENTLE
+        ring = NARROW if self.restless else WIDE
         self.notice = config.notice or notice_range(self.world)
         self.pace = 1.0 if self.restless else config.stroll
-        self.reach = config.reach or self.manner.reach
-        self.gain = config.gain or self.manner.gain
+        self.reach, self.least = config.reach or ring.reach, ring.least
 
     def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return commands (..., H, 2) m/s and memory."""
         goal, center = seen.goal[..., None, :], seen.center[..., None, :]  # (..., 1, 2) m
         behind = bearing(center - goal)  # (..., 1) rad
         away = torch.linalg.vector_norm(center - goal, dim=-1)
-        far = torch.linalg.vector_norm(seen.sheep - center, dim=-1) * seen.sheep_mask
-        far = far.amax(dim=-1, keepdim=True)
-        few = seen.team_size[..., None] < self.manner.ring
-        off = torch.where(few & self.restless, FEW_OFF, self.manner.stand_off)
-        clear = far + (self.config.stand_off or off)
+        squared = (seen.sheep - center).square().sum(dim=-1)  # (..., N) m2
+        far = EDGE * masked_mean(squared[..., None], seen.sheep_mask).sqrt()
+        few = seen.team_size[..., None] < self.least
+        clear = far + self.config.stand_off
 
         stance = self._arc_or_ring(seen, behind, away, clear)
         if self.restless:
@@ -165,9 +158,11 @@ class DroverController(Controller):
 
         place = stance.places(seen)
         target = stance.about + stance.distance[..., None] * from_bearing(place)
-        along = stance.way_along(seen, place, self.gain)
+        gain, speed = self.config.gain, self.world.shepherd_speed
+        along = stance.way_along(seen, place, gain)
         way = torch.where(stance.along[..., None], along, way_round(seen, target, center, clear))
-        return clip_norm(way * self.gain, self.world.shepherd_speed), memory
+        aside = way_apart(seen, self.config.apart) * speed
+        return clip_norm(clip_norm(way * gain, speed) + aside, speed), memory
 
     def _arc_or_ring(
         self, seen: WorldState, behind: Tensor, away: Tensor, clear: Tensor
@@ -183,7 +178,7 @@ class DroverController(Controller):
         else:
             arc = away / radius - config.open_until
             arc = (arc / (config.open_from - config.open_until)).clamp(0.0, 1.0)
-        arc = torch.where(team < self.manner.ring, 1.0, arc)
+        arc = torch.where(team < self.least, 1.0, arc)
         part = WHOLE / team
         # a ring is where the team is; all turns by a part give the same places
         turn = middle_of_ring(angle, seen.shepherd_mask)[..., None] - behind

@@ -7,13 +7,14 @@ import math
 
 from shepherd_ros.controllers.base import places_on_arc
 from shepherd_ros.sim.state import WorldState
-from shepherd_ros.sim.vectors import bearing, from_bearing, unit, wrap
+from shepherd_ros.sim.vectors import bearing, EPSILON, from_bearing, unit, wrap
 import torch
 from torch import Tensor
 
 WHOLE = 2 * math.pi  # [rad]
 FULL_SPEED = 10.0  # [m] a way so long is gone at the top speed
 NEARLY_ON_CIRCLE = 0.5  # [m] so near a circle, or half a smaller one, the way along it begins
+ASIDE = math.pi / 4  # [rad] from the way straight apart to that past each other
 
 
 def bearings_in_order(angle: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
@@ -95,3 +96,17 @@ def way_round(seen: WorldState, target: Tensor, center: Tensor, clear: Tensor) -
     tangent = from_bearing(bearing(from_center) + side)
     outward = unit(from_center) * ((clear - distance).clamp(0.0, 1.0))[..., None]
     return torch.where(blocked[..., None], (tangent + outward) * FULL_SPEED, straight)
+
+
+def way_apart(seen: WorldState, apart: float) -> Tensor:
+    """
+    Return the way from others nearer than apart [m], (..., H, 2): 2 long from one at hand.
+
+    It keeps to the right, so that two who want to go where the other is pass by each other.
+    """
+    offset = seen.shepherds[..., :, None, :] - seen.shepherds[..., None, :, :]
+    distance = torch.linalg.vector_norm(offset, dim=-1)
+    near = (1 - distance / max(apart, EPSILON)).clamp(min=0.0) * seen.shepherd_mask[..., None, :]
+    push = 2 * (unit(offset) * near[..., None]).sum(dim=-2)
+    left = torch.stack([-push[..., 1], push[..., 0]], dim=-1)
+    return math.cos(ASIDE) * push + math.sin(ASIDE) * left

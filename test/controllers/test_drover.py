@@ -26,7 +26,7 @@ NOTICE = 65 / 3  # the Strömbom flock's r_s [m]
 
 
 def square(x: float, y: float, half: float = 1.0) -> list[tuple[float, float]]:
-    """Return four sheep around a point, sqrt(2) half from it."""
+    """Return four sheep around a point, sqrt(2) half from it: as far as in a disc of 2 half."""
     return [(x - half, y - half), (x - half, y + half), (x + half, y - half), (x + half, y + half)]
 
 
@@ -51,15 +51,15 @@ def settle(
 
 
 def test_one_shepherd_stands_behind_the_flock_as_far_as_it_is_noticed() -> None:
-    # center 10 m from the goal, farthest sheep sqrt(2) m from it, 4 m more: 15.4 m < r_s
+    # center 10 m from the goal, edge 2 m from it, 4.5 m more: 16.5 m < r_s
     place, _ = settle(scene(square(10, 0), [(14.0, 3.0)]), 200)
     assert place.tolist() == pytest.approx([NOTICE, 0.0], abs=0.05)
 
 
 def test_far_away_it_keeps_the_stand_off() -> None:
-    # 30 + sqrt(2) + 6 m from the goal is more than r_s
+    # 30 + 2 + 6 m from the goal is more than r_s
     place, _ = settle(scene(square(0, 30), [(3.0, 40.0)]), 200, stand_off=6.0)
-    assert place.tolist() == pytest.approx([0.0, 36 + math.sqrt(2)], abs=0.05)
+    assert place.tolist() == pytest.approx([0.0, 38.0], abs=0.05)
 
 
 def test_it_goes_round_the_flock_and_not_through_it() -> None:
@@ -68,7 +68,7 @@ def test_it_goes_round_the_flock_and_not_through_it() -> None:
     assert place.tolist() == pytest.approx([NOTICE, 0.0], abs=0.05)
     center = torch.tensor([10.0, 0.0])
     nearest = min(float((at - center).norm(dim=-1)) for at in track)
-    assert nearest > math.sqrt(2) + 4 - 0.6  # a step of half a metre may cut the circle
+    assert nearest > 2 + 4.5 - 0.6  # a step of half a metre may cut the circle
 
 
 def test_three_stand_on_an_arc_with_the_chosen_angle() -> None:
@@ -159,7 +159,7 @@ def test_how_near_sheep_notice_is_that_of_the_flock_or_what_is_given() -> None:
     team = [(9.0, -2.0), (9.0, 0.0), (9.0, 2.0)]
     places, _ = settle(scene(square(1, 0), team), 100, world)
     # all four are inside: a ring so narrow that none can be there unnoticed
-    assert places.norm(dim=-1).tolist() == pytest.approx([7.5 - 0.25 * 4] * 3, abs=0.1)
+    assert places.norm(dim=-1).tolist() == pytest.approx([7.5 - 0.15 * 4] * 3, abs=0.1)
     place, _ = settle(scene(square(10, 0), [(30.0, 0.0)]), 100, notice=25.0)
     assert place.tolist() == pytest.approx([25.0, 0.0], abs=0.05)
 
@@ -167,8 +167,8 @@ def test_how_near_sheep_notice_is_that_of_the_flock_or_what_is_given() -> None:
 def test_one_shepherd_touches_the_rim_of_a_flock_that_never_rests() -> None:
     world = replace(WORLD, flock=ReynoldsFlock())
     place, _ = settle(scene(square(4, 0), [(15.0, 1.0)]), 200, world)
-    # behind the flock: sqrt(2) m to its farthest sheep, and 0.8 m less than it sees
-    reach = math.sqrt(2) + 7.5 - 0.8
+    # behind the flock: 2 m to its edge, and 0.4 m less than it sees
+    reach = 2 + 7.5 - 0.4
     assert place.tolist() == pytest.approx([4 + reach, 0.0], abs=0.05)
     # in the middle of the goal the flock heads for +x and is turned by a radian
     place, _ = settle(scene(square(0, 0.003), [(15.0, 1.0)]), 200, world)
@@ -176,6 +176,46 @@ def test_one_shepherd_touches_the_rim_of_a_flock_that_never_rests() -> None:
     behind = math.pi / 2  # of the goal is where it is: the sense of its turn is kept
     angle = math.atan2(place[1].item(), place[0].item())
     assert angle == pytest.approx(behind + 1.0, abs=0.01)
+
+
+def test_a_sheep_that_is_astray_does_not_draw_the_team_from_the_flock() -> None:
+    # 99 in a heap and one 20 m from it: the edge of a disc with that mean square is 2.8 m off
+    sheep = [(30.0, 0.0)] * 99 + [(30.0, 20.0)]
+    place, _ = settle(scene(sheep, [(40.0, 1.0)]), 200, replace(WORLD, n_sheep=100))
+    edge = math.sqrt(2 * (20 * 20 * 0.01 - 0.2**2))
+    middle = math.hypot(30, 0.2)
+    assert place.norm().item() == pytest.approx(middle + edge + 4.5, abs=0.05)
+
+
+def command(shepherds: list[tuple[float, float]], **options: Any) -> Tensor:
+    """Return what shepherds do at first, far from a flock that is farther than r_s, (H, 2)."""
+    world = replace(WORLD, n_shepherds=len(shepherds))
+    controller = make_controller('drover', world, **options)
+    state = scene(square(0, 60), shepherds)
+    return controller.act(state, controller.begin(state))[0].reshape(-1, 2)
+
+
+def test_shepherds_make_way_for_each_other() -> None:
+    # 0.6 m apart, 1.5 m being asked for: 2 (1 - 0.6 / 1.5) m/s, half right of straight apart
+    alone = command([(0.0, 100.0), (0.6, 100.0)], apart=0.0)
+    aside = 1.2 * math.sqrt(0.5)
+    wanted = alone + torch.tensor([[-aside, -aside], [aside, aside]])
+    wanted = wanted / wanted.norm(dim=-1, keepdim=True).clamp(min=1.0)
+    torch.testing.assert_close(command([(0.0, 100.0), (0.6, 100.0)]), wanted)
+    # as near as they want to be, they do as if alone
+    torch.testing.assert_close(
+        command([(0.0, 100.0), (1.5, 100.0)]), command([(0.0, 100.0), (1.5, 100.0)], apart=0.0)
+    )
+
+
+def test_two_who_are_in_each_others_way_pass() -> None:
+    world = replace(WORLD, n_shepherds=2)
+    # both are behind the flock and have each other's place on the way
+    state = scene(square(0, 60), [(-6.0, 20.0), (6.0, 20.0)])
+    places, track = settle(state, 400, world)
+    assert float(torch.stack([(at[0, 0] - at[0, 1]).norm() for at in track]).min()) > 0.75
+    ahead = 62 + 4.5
+    assert places.norm(dim=-1).tolist() == pytest.approx([ahead] * 2, abs=0.1)
 
 
 @pytest.mark.parametrize('turn', [0.0, 1.0, -2.5])

@@ -834,6 +834,9 @@ def test_a_player_refuses_what_cannot_be(
     for text in said:
         assert text.format(**places) in player.text
     assert 'Traceback' not in player.text
+    # not only after the 20 s that DDS waits for a participant that is silent
+    names = room.node.get_node_names
+    room.until(lambda: names() == ['probe'], lambda: f'it leaves the graph: {names()}', 10.0)
 
 
 def test_a_foreign_bag_is_played_if_its_types_are_installed(room: Graph, tmp_path: Path) -> None:
