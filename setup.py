@@ -83,6 +83,7 @@ setup(
             'jsonschema',
             'mcap-ros2-support',
             'mypy',
+            'pandas',
             'pytest<9',
             'pytest-timeout',
             'pytest-xdist',

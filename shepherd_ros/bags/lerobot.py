@@ -39,6 +39,23 @@ ROWS = pa.schema(
      ('timestamp', pa.float32()), ('frame_index', _LONG), ('episode_index', _LONG),
      ('index', _LONG), ('task_index', _LONG)]
 )  # fmt: skip
+INDEXED_BY_TASK = {  # what pandas, with which LeRobot reads it, has to be told
+    'index_columns': ['task'],
+    'column_indexes': [],
+    'columns': [
+        {
+            'name': name,
+            'field_name': name,
+            'pandas_type': kind,
+            'numpy_type': numpy_type,
+            'metadata': None,
+        }
+        for name, kind, numpy_type in (
+            ('task_index', 'int64', 'int64'),
+            ('task', 'unicode', 'object'),
+        )
+    ],
+}
 NUMBERS = (
     'episode_index', 'length', 'dataset_from_index', 'dataset_to_index', 'data/chunk_index',
     'data/file_index', 'meta/episodes/chunk_index', 'meta/episodes/file_index', 'bag_index',
@@ -212,11 +229,9 @@ class DatasetWriter:
             stats[name]['count'] = [self.rows]
         for path, content in ((INFO, info), (ABOUT, about), (STATS, stats)):
             (self.part / path).write_text(json.dumps(content, indent=1), encoding='utf-8')
-        column = {'name': 'task', 'field_name': 'task', 'metadata': None}
-        note = {'index_columns': ['task'], 'column_indexes': [], 'columns': [column]}
-        task = pa.schema([('task_index', _LONG), ('task', pa.string())])
-        task = task.with_metadata({'pandas': json.dumps(note)})
-        parquet.write_table(pa.table([[0], [TASK]], schema=task), self.part / TASKS)
+        tasks = pa.table({'task_index': pa.array([0], _LONG), 'task': [TASK]})
+        tasks = tasks.replace_schema_metadata({'pandas': json.dumps(INDEXED_BY_TASK)})
+        parquet.write_table(tasks, self.part / TASKS)
 
     def _features(self) -> dict[str, Any]:
         """Return what each column is, as LeRobot says it."""

@@ -11,6 +11,7 @@ from typing import Any
 from weakref import WeakSet
 
 import numpy as np
+import pandas
 import pyarrow as pa
 from pyarrow import parquet
 import pytest
@@ -143,8 +144,8 @@ def test_a_built_folder_has_the_files_and_columns_of_lerobot(bags: Path, tmp_pat
         assert np.array_equal(columns['frame_index'][mine], np.arange(row['length']))
         assert row['tasks'] == ['herd the flock into the goal']
         assert row['bag'] == f'episode_{row["seed"]:06d}'
-    tasks = parquet.read_table(out / 'meta/tasks.parquet').to_pydict()
-    assert tasks == {'task_index': [0], 'task': ['herd the flock into the goal']}
+    tasks = pandas.read_parquet(out / 'meta/tasks.parquet')  # as LeRobot does
+    assert tasks.to_dict('index') == {'herd the flock into the goal': {'task_index': 0}}
     stats = json.loads((out / 'meta/stats.json').read_text())
     action = np.array(table['action'].to_pylist())
     np.testing.assert_allclose(stats['action']['mean'], action.mean(axis=0), atol=1e-6)
