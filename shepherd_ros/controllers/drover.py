@@ -192,6 +192,7 @@ class DroverController(Controller):
             spacing=arc * config.spacing + (1 - arc) * part,
             along=arc < 1,
             pace=self.world.shepherd_speed * torch.where(arc < 1, self.pace, 1.0),
+            even=arc == 0,
         )
 
     def _alone(self, seen: WorldState, stance: Stance) -> Stance:
@@ -210,6 +211,7 @@ class DroverController(Controller):
             middle=there,
             along=torch.ones_like(stance.along),
             pace=self.config.stroll * torch.full_like(stance.pace, self.world.shepherd_speed),
+            even=torch.zeros_like(stance.even),
         )
 
     def _touch(self, seen: WorldState, behind: Tensor, away: Tensor, far: Tensor) -> Stance:
@@ -224,6 +226,7 @@ class DroverController(Controller):
             spacing=torch.full_like(away, self.config.touch_spacing),
             along=torch.ones_like(away, dtype=torch.bool),
             pace=torch.full_like(away, self.world.shepherd_speed),
+            even=torch.zeros_like(away, dtype=torch.bool),
         )
 
 

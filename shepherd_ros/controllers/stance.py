@@ -44,6 +44,20 @@ def middle_of_ring(angle: Tensor, mask: Tensor) -> Tensor:
     return wrap(angle.sum(dim=-1) / mask.sum(dim=-1).clamp(min=1))
 
 
+def midway(angle: Tensor, mask: Tensor) -> Tensor:
+    """
+    Return the bearings (..., H) rad midway between the two neighbours of each on a circle.
+
+    angle (..., H) rad are the bearings of all, mask (..., H) says who is there. Who has but one
+    neighbour has it on both sides; who is alone stays.
+    """
+    ahead = torch.remainder(angle[..., None, :] - angle[..., :, None], WHOLE)  # from row to column
+    other = mask[..., None, :] & ~torch.eye(angle.shape[-1], dtype=torch.bool, device=angle.device)
+    gap_ahead = torch.where(other, ahead, WHOLE).amin(dim=-1)
+    gap_behind = torch.where(other, WHOLE - ahead, WHOLE).amin(dim=-1)
+    return angle + (gap_ahead - gap_behind) / 2
+
+
 @dataclass(frozen=True)
 class Stance:
     """Places for a team: on a circle, evenly apart; (..., 1) each."""
@@ -54,6 +68,7 @@ class Stance:
     spacing: Tensor  # between them [rad]
     along: Tensor  # whether the way to them is along the circle, else round the flock
     pace: Tensor  # top speed on that way [m/s]
+    even: Tensor  # whether each is midway between its neighbours, wherever the middle is
 
     def where(self, mask: Tensor, other: Stance) -> Stance:
         """Return this one where the mask (..., 1) is set, else the other."""
@@ -63,8 +78,10 @@ class Stance:
 
     def places(self, seen: WorldState) -> Tensor:
         """Return a bearing for each shepherd, (..., H) rad."""
-        around = wrap(bearing(seen.shepherds - self.about) - self.middle)
-        return self.middle + places_on_arc(around, self.spacing, seen.shepherd_mask)
+        angle = bearing(seen.shepherds - self.about)
+        around = wrap(angle - self.middle)
+        place = self.middle + places_on_arc(around, self.spacing, seen.shepherd_mask)
+        return torch.where(self.even, midway(angle, seen.shepherd_mask), place)
 
     def way_along(self, seen: WorldState, place: Tensor, gain: float) -> Tensor:
         """Return the way to bearings (..., H) rad, along the circle; (..., H, 2) m."""

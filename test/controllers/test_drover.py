@@ -11,7 +11,7 @@ from reference import state_of
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.controllers.base import Memory
-from shepherd_ros.controllers.stance import middle_of_ring
+from shepherd_ros.controllers.stance import middle_of_ring, midway
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.reward import distance_to_rim
 from shepherd_ros.sim.spawn import spawn
@@ -232,6 +232,21 @@ def test_the_ring_of_three_and_more_is_where_they_are(turn: float) -> None:
     for angles, middle in [((0.3, -0.2, 0.2), 0.1), ((0.1, third + 0.3, -third - 0.1), 0.1)]:
         expected = sorted((middle + k * third) % (2 * math.pi) for k in (-1, 0, 1))
         assert places(*angles) == pytest.approx(expected, abs=1e-5)
+
+
+def test_each_of_a_ring_goes_midway_between_its_neighbours() -> None:
+    mask = torch.arange(5) < torch.tensor([[4], [2], [1]])
+    angle = torch.tensor([[0.1, 3.0, -0.3, 1.0, 0.2]] * 3)
+    # around the circle -0.3, 0.1, 1, 3; two stand across from each other; one alone stays
+    expected = [
+        [0.35, (1.0 - 0.3 + 2 * math.pi) / 2, (3.0 - 2 * math.pi + 0.1) / 2, 1.55],
+        [3.0 - math.pi, 0.1 + math.pi],
+        [0.1],
+    ]
+    for row, places in enumerate(expected):
+        got = midway(angle, mask)[row, : len(places)]
+        assert torch.sin(got).tolist() == pytest.approx([math.sin(x) for x in places], abs=1e-5)
+        assert torch.cos(got).tolist() == pytest.approx([math.cos(x) for x in places], abs=1e-5)
 
 
 @pytest.mark.parametrize('shepherds', [1, 2])
