@@ -24,6 +24,8 @@ class Search:
     """Episodes of each cell."""
     seed: int = 0
     """Seed of the candidates."""
+    presets: tuple[str, ...] = ()
+    """Instead of a search, print a table of how well these presets agree."""
 
     def run(self) -> int:
         """Search; print every candidate that is better than all before."""
@@ -37,6 +39,11 @@ class Search:
                 'least 1 and 2'
             )
         torch.set_num_threads(1)
+        if self.presets:
+            from shepherd_ros.evaluation.preset_scores import preset_scores
+
+            print(preset_scores(self.presets, self.episodes))
+            return 0
         best = -1.0
         for number, tried in enumerate(
             search(self.out, self.seed, self.candidates, self.episodes), start=1

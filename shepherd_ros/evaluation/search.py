@@ -8,7 +8,7 @@ best so far with one choice changed, some are drawn at random; the default prese
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 import json
 import math
@@ -19,7 +19,7 @@ from typing import Any
 import pyarrow as pa  # type: ignore[import-untyped]
 from shepherd_ros.config import ConfigError
 from shepherd_ros.evaluation.cells import Cell, run_cell
-from shepherd_ros.evaluation.claims import AGREES, DISAGREES, judge, Sweep, UNDECIDED
+from shepherd_ros.evaluation.claims import AGREES, DISAGREES, Finding, judge, Sweep, UNDECIDED
 from shepherd_ros.evaluation.experiments import BASELINES, Experiment, EXPERIMENTS
 from shepherd_ros.evaluation.rows import Rows
 from shepherd_ros.evaluation.samples import samples_of
@@ -72,9 +72,8 @@ class Tried:
 
     @property
     def score(self) -> float:
-        """Return how many numbers agree; one that is undecided counts half."""
-        worth = {AGREES: 1.0, UNDECIDED: 0.5}
-        return sum(worth.get(verdict, 0.0) for verdict in self.verdicts.values())
+        """Return what the verdicts are worth."""
+        return worth(self.verdicts.values())
 
     @property
     def merit(self) -> float:
@@ -111,15 +110,15 @@ def short(name: str) -> Experiment:
     return replace(whole, settings=tuple(s for s in whole.settings if getattr(s, field) in values))
 
 
-def attempt(
-    candidate: Candidate, episodes: int, steps: int = 1000, known: Known | None = None
-) -> Tried:
+def findings(
+    preset: Preset, episodes: int, steps: int = 1000, known: Known | None = None
+) -> dict[str, Finding]:
     """
-    Run the baselines with a candidate's choices, and judge what the paper says of them.
+    Run the baselines in a preset; return what comes of the numbers about them alone, by text.
 
     Cells that known holds are not run again; those that are run are put there.
     """
-    PRESETS[NAME] = preset_of(candidate)
+    PRESETS[NAME] = preset
     known = {} if known is None else known
     try:
         experiments = {name: short(name) for name in POINTS}
@@ -133,20 +132,35 @@ def attempt(
                     known[key] = run_cell(cell)
                 tables.append(known[key])
         rows = Rows(pa.concat_tables(tables))
-        tried = Tried(candidate, {}, {}, {})
+        found = {}
         for claim in CLAIMS:
             samples = samples_of(rows, experiments[claim.experiment])
             assert samples is not None, 'all of an experiment was run'
             for clause in claim.clauses:
                 finding = judge(clause, Sweep(samples, ''))
                 if not finding.reason:  # else it needs a policy
-                    key = f'{claim.experiment}: {claim.statement}: {clause.text}'
-                    tried.verdicts[key] = finding.verdict
-                    tried.numbers[key] = finding.value
-                    tried.gaps[key] = gap_of(finding.value, clause.low, clause.high)
-        return tried
+                    found[f'{claim.experiment}: {claim.statement}: {clause.text}'] = finding
+        return found
     finally:
         del PRESETS[NAME]
+
+
+def worth(verdicts: Iterable[str]) -> float:
+    """Return how many numbers agree; one that is undecided counts half."""
+    return sum({AGREES: 1.0, UNDECIDED: 0.5}.get(verdict, 0.0) for verdict in verdicts)
+
+
+def attempt(
+    candidate: Candidate, episodes: int, steps: int = 1000, known: Known | None = None
+) -> Tried:
+    """Judge a candidate's choices; known as in findings."""
+    found = findings(preset_of(candidate), episodes, steps, known)
+    return Tried(
+        candidate,
+        {key: f.verdict for key, f in found.items()},
+        {key: f.value for key, f in found.items()},
+        {key: gap_of(f.value, f.clause.low, f.clause.high) for key, f in found.items()},
+    )
 
 
 def proposals(seed: int, known: list[Tried]) -> Iterator[Candidate]:

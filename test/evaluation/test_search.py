@@ -12,6 +12,7 @@ import pytest
 from shepherd_ros.cli import main
 from shepherd_ros.evaluation.claims import AGREES, DISAGREES, UNDECIDED
 from shepherd_ros.evaluation.methods import make_method
+from shepherd_ros.evaluation.preset_scores import preset_scores
 from shepherd_ros.evaluation.search import (
     attempt,
     CHOICES,
@@ -127,6 +128,18 @@ def test_only_cells_that_a_choice_changes_are_run_again() -> None:
     assert tried == attempt(changed, 2, steps=2)
 
 
+def test_presets_stand_side_by_side_with_their_scores() -> None:
+    lines = preset_scores(['default', 'fine_dt'], 2, steps=2).splitlines()
+    rows = [[cell.strip() for cell in line.strip('|').split('|')] for line in lines]
+    assert rows[0][3:] == ['`default`', '`fine_dt`']
+    tried = attempt(DEFAULT, 2, steps=2)
+    verdicts = {f'{row[0]}: {row[1]}': row[3].rpartition(', ')[2] for row in rows[2:-1]}
+    assert verdicts == tried.verdicts
+    assert rows[-1][3] == f'**{tried.score:g} of 17**'
+
+
 def test_a_mistake_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['search', '--candidates', '0', '--out', str(tmp_path / 'x')]) == 2
     assert '--candidates is 0' in capsys.readouterr().err
+    assert main(['search', '--presets', 'default', 'papr']) == 2
+    assert "preset is 'papr'" in capsys.readouterr().err

@@ -1,0 +1,29 @@
+"""Presets side by side: how many of the paper's numbers about the baselines each agrees with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from shepherd_ros.config import unknown_name
+from shepherd_ros.evaluation.report import bounds, number
+from shepherd_ros.evaluation.search import findings, Known, worth
+from shepherd_ros.sim.presets import PRESETS
+
+
+def preset_scores(names: Sequence[str], episodes: int, steps: int = 1000) -> str:
+    """Return a table in Markdown, a row for each number and a column for each preset."""
+    for name in names:
+        if name not in PRESETS:
+            raise unknown_name('preset', name, sorted(PRESETS))
+    known: Known = {}
+    found = {name: findings(PRESETS[name], episodes, steps, known) for name in names}
+    head = ['the paper states', 'number', 'agrees if', *(f'`{name}`' for name in found)]
+    lines = [head, ['---', '---', '--:', *('--:' for _ in found)]]
+    for key, first in found[names[0]].items():
+        experiment, statement, text = key.split(': ', 2)
+        each = [f'{number(f[key])}, {f[key].verdict}' for f in found.values()]
+        lines.append([f'{experiment}: {statement}', text, bounds(first.clause), *each])
+    scores = [worth(f.verdict for f in each.values()) for each in found.values()]
+    count = len(lines) - 2
+    lines.append(['**score**', '', '', *(f'**{score:g} of {count}**' for score in scores)])
+    return '\n'.join(f'| {" | ".join(line)} |' for line in lines)
