@@ -58,11 +58,13 @@ def commanded(
     """
     Return the parameters with which a controller commands a whole team; most need none.
 
-    flock_sim are parameters of the world: a policy is that for its flock model.
+    flock_sim are parameters of the world: a policy is that for its flock model, a heuristic has
+    its preset.
     """
+    world = flock_sim or {}
     if controller != 'policy':
-        return {}
-    checkpoint = checkpoint_for((flock_sim or {}).get('flock', 'strombom'))
+        return {'preset': world['preset']} if 'preset' in world else {}
+    checkpoint = checkpoint_for(world.get('flock', 'strombom'))
     return {'shepherd_ids': list(range(n_shepherds)), 'checkpoint': checkpoint}
 
 

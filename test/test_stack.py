@@ -1,15 +1,22 @@
 """The stack that demo and launch file start, and the files beside the nodes."""
 
 import ast
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import rclpy
+from rclpy.context import Context
 from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
+from shepherd_ros.evaluation.methods import make_method
+from shepherd_ros.evaluation.setting import Setting
+from shepherd_ros.nodes.compose import NODES
 from shepherd_ros.nodes.defaults import parameter_file, WITH_FILE
 from shepherd_ros.policy.checkpoint import shipped_checkpoints
 from shepherd_ros.share import share_file
 from shepherd_ros.sim.flocking import FLOCK_MODELS
+from shepherd_ros.sim.presets import PRESETS
 from shepherd_ros.stack import (
     checkpoint_for,
     commanded,
@@ -33,6 +40,23 @@ def test_a_parameter_file_is_the_defaults_of_its_node(name: str) -> None:
     text = share_file('config', f'{name}.yaml').read_text(encoding='utf-8')
     assert text == parameter_file(name)
     assert yaml.safe_load(text)[f'/**/{name}']['ros__parameters']
+
+
+@pytest.mark.parametrize('controller', sorted(PRESETS['paper'].controllers))
+def test_heuristics_of_a_stack_have_the_options_of_its_preset(controller: str) -> None:
+    wanted = make_method(controller, Setting(preset='paper')).config
+    assert wanted != make_method(controller, Setting()).config
+    context = Context()
+    rclpy.init(args=[], context=context)
+    more = {} if controller == 'pierson' else {'arc_margin': 7.0}  # what is given wins
+    stack = herding_stack(controller, preset='paper')
+    process = replace(stack[-1], parameters=stack[-1].parameters | more)
+    node = NODES[controller](
+        context=context, cli_args=process.arguments(), use_global_arguments=False
+    )
+    assert node.options == replace(wanted, **more)
+    node.destroy_node()
+    context.try_shutdown()
 
 
 def test_the_stack_has_a_lidar_for_each_shepherd_and_distinct_names() -> None:

@@ -16,6 +16,7 @@ from shepherd_ros.nodes.parameters import declare_config
 from shepherd_ros.nodes.runtime import run
 from shepherd_ros.sim import kernels
 from shepherd_ros.sim.perception import perceive
+from shepherd_ros.sim.presets import PRESETS
 from shepherd_ros.sim.state import WorldState
 import torch
 
@@ -30,7 +31,11 @@ class HeuristicNode(ShepherdNode):
         kernels.start()
         super().__init__(controller, **kwargs)
         self.kind = controller_type(controller)
-        self.options = declare_config(self, self.kind.config_type())
+        presets = tuple(sorted(PRESETS))
+        doc = 'defaults of the options: ' + ', '.join(presets)
+        preset = self.option('preset', 'default', doc, choices=presets)
+        changes = PRESETS[preset].controllers.get(controller, {})
+        self.options = declare_config(self, self.kind.config_type(**changes))
         self.shepherd_ids: list[int] = self.option(
             'shepherd_ids', [ALL], 'shepherds to command; [-1]: all of the episode'
         )

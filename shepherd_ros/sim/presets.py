@@ -20,8 +20,7 @@ class Preset:
     """
     Changes against the default world: dt, and fields of the flock models by name.
 
-    controllers are options of the heuristics by name; evaluation takes them, a node is told by
-    its parameters.
+    controllers are options of the heuristics by name.
     """
 
     doc: str
@@ -54,6 +53,30 @@ PRESETS: dict[str, Preset] = {
         '0.5 s, r_a 10 m with attraction in metres: keeps every number of Table 1',
         0.5,
         _strombom(sheep_range=10.0, metric_attraction=True),
+    ),
+    # the best of a search over what the paper leaves open: docs/results/presets.md
+    'paper': Preset(
+        '0.5 s, r_a 1 m: agrees with most that the paper says of the heuristics',
+        0.5,
+        {
+            'strombom': {'normalize_shepherds': True},
+            'reynolds': {'max_acceleration': 1.0},
+        },
+        {
+            'strombom': {
+                'interaction_range': 2.0,
+                'arc_margin': 10.0,
+                'stop_range': 5.0,
+                'wing_spacing': 0.2,
+            },
+            'pierson': {
+                'lead': 1.0,
+                'gain': 0.2,
+                'min_radius': 2.0,
+                'spread_factor': 5.0,
+                'tracking_gain': 1.0,
+            },
+        },
     ),
 }
 
