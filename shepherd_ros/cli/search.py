@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+import sys
 
 from shepherd_ros.cli import UserError
 
@@ -42,7 +44,8 @@ class Search:
         if self.presets:
             from shepherd_ros.evaluation.preset_scores import preset_scores
 
-            print(preset_scores(self.presets, self.episodes))
+            tell = partial(print, file=sys.stderr)
+            print(preset_scores(self.presets, self.episodes, tell=tell))
             return 0
         best = -1.0
         for number, tried in enumerate(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from shepherd_ros.config import unknown_name
 from shepherd_ros.evaluation.report import bounds, number
@@ -10,13 +10,25 @@ from shepherd_ros.evaluation.search import findings, Known, worth
 from shepherd_ros.sim.presets import PRESETS
 
 
-def preset_scores(names: Sequence[str], episodes: int, steps: int = 1000) -> str:
-    """Return a table in Markdown, a row for each number and a column for each preset."""
+def preset_scores(
+    names: Sequence[str],
+    episodes: int,
+    steps: int = 1000,
+    tell: Callable[[str], None] = lambda text: None,
+) -> str:
+    """
+    Return a table in Markdown, a row for each number and a column for each preset.
+
+    tell hears which preset is run, as each takes minutes.
+    """
     for name in names:
         if name not in PRESETS:
             raise unknown_name('preset', name, sorted(PRESETS))
     known: Known = {}
-    found = {name: findings(PRESETS[name], episodes, steps, known) for name in names}
+    found = {}
+    for k, name in enumerate(names, start=1):
+        tell(f'preset {name}, {k} of {len(names)}: {episodes} episodes a cell, some minutes')
+        found[name] = findings(PRESETS[name], episodes, steps, known)
     head = ['the paper states', 'number', 'agrees if', *(f'`{name}`' for name in found)]
     lines = [head, ['---', '---', '--:', *('--:' for _ in found)]]
     for key, first in found[names[0]].items():
