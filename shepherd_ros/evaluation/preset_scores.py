@@ -32,9 +32,9 @@ def preset_scores(
     head = ['the paper states', 'number', 'agrees if', *(f'`{name}`' for name in found)]
     lines = [head, ['---', '---', '--:', *('--:' for _ in found)]]
     for key, first in found[names[0]].items():
-        experiment, statement, text = key.split(': ', 2)
+        text = first.clause.text
         each = [f'{number(f[key])}, {f[key].verdict}' for f in found.values()]
-        lines.append([f'{experiment}: {statement}', text, bounds(first.clause), *each])
+        lines.append([key.removesuffix(f': {text}'), text, bounds(first.clause), *each])
     scores = [worth(f.verdict for f in each.values()) for each in found.values()]
     count = len(lines) - 2
     lines.append(['**score**', '', '', *(f'**{score:g} of {count}**' for score in scores)])
