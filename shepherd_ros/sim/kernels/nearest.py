@@ -122,24 +122,22 @@ def bound_of(keep, count, squared, guess, values):
 
 
 @compiled
-def nearest(keep, count, squared, bound, who, chosen):
+def break_tie(keep, count, squared, bound, who):
     """
-    Write the keep of who that are nearest into chosen; return how many these are.
+    Put those of who out of squared [m^2] that are more than keep below the bound of bound_of().
 
-    bound is that of bound_of(). At a tie those with the larger number are nearer; the others are
-    put out of squared.
+    At a tie those with the larger number are nearer.
     """
-    found = below(bound, count, squared, who, chosen)
-    if found <= keep:
-        return found
+    surplus = _count(bound, count, squared) - keep
+    if surplus <= 0:
+        return
     tie = np.float32(0)
     for k in range(count):
         if squared[k] < bound:
             tie = max(tie, squared[k])
-    for _ in range(found - keep):
+    for _ in range(surplus):
         out = -1
         for k in range(count):
             if squared[k] == tie and (out < 0 or who[k] < who[out]):
                 out = k
         squared[out] = _INF
-    return below(bound, count, squared, who, chosen)

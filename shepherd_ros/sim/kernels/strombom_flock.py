@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 from shepherd_ros.sim.kernels import compiled, flat
-from shepherd_ros.sim.kernels.grid import around, build, nothing, within
+from shepherd_ros.sim.kernels.grid import around, build, leaves_out, nothing, within
 from shepherd_ros.sim.kernels.nearest import (
     below,
     bound_of,
+    break_tie,
     in_reach,
-    nearest,
     squares,
     squares_of,
 )
 from shepherd_ros.sim.kernels.noise import direction_at, key_of, uniform_at
-from shepherd_ros.sim.kernels.vectors import unit
+from shepherd_ros.sim.kernels.vectors import length, unit
 from shepherd_ros.sim.noise import Stream
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import EPSILON
@@ -28,7 +28,7 @@ from torch import Tensor
 _TURN, _GRAZE = int(Stream.TURN), int(Stream.GRAZE)
 _EPSILON = np.float32(EPSILON)
 _ZERO, _ONE = np.float32(0), np.float32(1)
-_LARGE = 850  # flocks from this size on are put on a grid
+_LARGE = 850  # flocks from this size on are put on a grid, if that leaves many out
 
 
 @compiled
@@ -47,15 +47,36 @@ def _push(x, y, others, chosen, count):
 
 
 @compiled
+def _sum_within(bound, count, squared, xs, ys, part_x, part_y):
+    """
+    Return the sum of those of the first count of xs, ys (N,) whose squared distance is below it.
+
+    The others are made zero first, many at once; then all are added one after another, so that
+    the sum is the same on every processor.
+    """
+    for k in range(count):
+        near = squared[k] < bound
+        part_x[k], part_y[k] = xs[k] if near else _ZERO, ys[k] if near else _ZERO
+    sum_x, sum_y = _ZERO, _ZERO
+    for k in range(count):
+        sum_x += part_x[k]
+        sum_y += part_y[k]
+    return sum_x, sum_y
+
+
+@compiled
 def _strombom(
     seed, step, sheep, heading, mask, shepherds, shepherd_mask, n_neighbors, shepherd_range,
     sheep_range, rho_a, c, rho_s, h, e, p, stride, normalize, metric, new_sheep, new_heading,
 ):  # fmt: skip
-    n, large = sheep.shape[1], sheep.shape[1] >= _LARGE
-    xs, ys, near = np.empty(n, np.float32), np.empty(n, np.float32), np.empty((n, 2), np.float32)
+    n = sheep.shape[1]
+    xs, ys = np.empty(n, np.float32), np.empty(n, np.float32)
+    near_x, near_y = np.empty(n, np.float32), np.empty(n, np.float32)
     squared, values = np.empty(n, np.float32), np.empty(n, np.float32)
-    chosen, some = np.empty(n, np.int64), np.empty(n, np.int64)
-    noticed, who = np.empty(shepherds.shape[1], np.int64), np.arange(n)
+    who_x, who_y = np.empty(n, np.float32), np.empty(n, np.float32)
+    chosen, who = np.empty(n, np.int64), np.empty(n, np.int64)
+    noticed, reach = np.empty(shepherds.shape[1], np.int64), sheep_range * sheep_range
+    part_x, part_y = np.empty(n, np.float32), np.empty(n, np.float32)
     for b in range(sheep.shape[0]):
         turn, graze = key_of(seed[b], step[b], _TURN), key_of(seed[b], step[b], _GRAZE)
         others = -1
@@ -63,42 +84,51 @@ def _strombom(
         for j in range(n):
             xs[j], ys[j] = sheep[b, j, 0], sheep[b, j, 1]
             # relative to one sheep: means of far places would be rounded by more than sheep differ
-            near[j, 0], near[j, 1] = xs[j] - xs[0], ys[j] - ys[0]
+            near_x[j], near_y[j] = xs[j] - xs[0], ys[j] - ys[0]
+            who[j], who_x[j], who_y[j] = j, near_x[j], near_y[j]  # unless there is a grid
             if mask[b, j]:
                 others += 1
-                sum_x += near[j, 0]
-                sum_y += near[j, 1]
-        count, found, bound = min(others, n_neighbors), n, sheep_range * sheep_range
-        grid = build(sheep[b], mask[b]) if large else nothing()
+                sum_x += near_x[j]
+                sum_y += near_y[j]
+        count, found, beyond = min(others, n_neighbors), n, _ONE
+        grid = build(sheep[b], mask[b]) if n >= _LARGE else nothing()
+        large = leaves_out(sheep_range, grid)
+        here, team_here = mask[b], shepherd_mask[b]
         for i in range(n):
             x, y = xs[i], ys[i]
             random_x, random_y = direction_at(turn, i)
             way_x, way_y = heading[b, i, 0], heading[b, i, 1]
-            met = in_reach(x, y, shepherds[b], shepherd_mask[b], shepherd_range, noticed)
+            met = in_reach(x, y, shepherds[b], team_here, shepherd_range, noticed)
             moving = True
             if met > 0:
                 away_x, away_y = _push(x, y, shepherds[b], noticed, met)
                 if large:
-                    found = within(i, sheep_range, grid, some)
-                    who = some
+                    found = within(i, sheep_range, grid, who)
                     squares_of(i, xs, ys, who, found, squared)
                 else:
-                    squares(i, xs, ys, mask[b], squared)
-                met = below(sheep_range * sheep_range, found, squared, who, chosen)
+                    squares(i, xs, ys, here, squared)
+                met = below(reach, found, squared, who, chosen)
                 apart_x, apart_y = _push(x, y, sheep[b], chosen, met)
                 to_x, to_y = _ZERO, _ZERO
                 if 0 < count == others:
-                    to_x, to_y = sum_x - near[i, 0], sum_y - near[i, 1]
+                    to_x, to_y = sum_x - near_x[i], sum_y - near_y[i]
                 elif count > 0:
+                    # the farthest of them are about as far beyond the middle for all sheep
+                    off_x = near_x[i] - sum_x / np.float32(others + 1)
+                    off_y = near_y[i] - sum_y / np.float32(others + 1)
+                    off = length(off_x, off_y)
+                    guess = (off + beyond) * (off + beyond)
                     if large:
                         found = around(i, xs, ys, count, grid, who, squared)
-                    bound = bound_of(count, found, squared, bound, values)
-                    for k in range(nearest(count, found, squared, bound, who, chosen)):
-                        to_x += near[chosen[k], 0]
-                        to_y += near[chosen[k], 1]
+                        for k in range(found):
+                            who_x[k], who_y[k] = near_x[who[k]], near_y[who[k]]
+                    bound = bound_of(count, found, squared, guess, values)
+                    break_tie(count, found, squared, bound, who)
+                    to_x, to_y = _sum_within(bound, found, squared, who_x, who_y, part_x, part_y)
+                    beyond = np.float32(math.sqrt(bound)) - off
                 if count > 0:
-                    to_x = to_x / np.float32(count) - near[i, 0]
-                    to_y = to_y / np.float32(count) - near[i, 1]
+                    to_x = to_x / np.float32(count) - near_x[i]
+                    to_y = to_y / np.float32(count) - near_y[i]
                 if not metric:
                     to_x, to_y = unit(to_x, to_y)
                 apart_x, apart_y = unit(apart_x, apart_y)
