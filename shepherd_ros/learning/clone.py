@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from shepherd_ros.config import Config, option
 from shepherd_ros.policy.policy import Policy
 import torch
 from torch import nn, Tensor
+from torch.optim.swa_utils import AveragedModel
+
+Weights = list[Tensor] | tuple[Tensor, ...]
+RECENT = 10  # at first, the mean is over one in so many of the steps so far
 
 
 @dataclass(frozen=True)
@@ -19,6 +24,12 @@ class CloneConfig(Config):
     batches: int = option(60, 'steps of the optimiser in a round', low=1)
     newest: int = option(20_000, 'every third batch is from so many of the newest', low=1)
     longest_gradient: float = option(1.0, 'gradients are cut to this norm', low=0.0)
+    outlier: float = option(
+        0.15, 'errors beyond this count in proportion, not squared [m/s]', low=0.001
+    )
+    average: float = option(
+        0.998, 'share that the running mean of the weights keeps in a step', low=0.0, high=1.0
+    )
 
 
 class Examples:
@@ -51,24 +62,52 @@ class Examples:
         return (self.count - 1 - back) % self.capacity
 
 
+def running_mean(keep: float) -> Callable[[Weights, Weights, Tensor | int], None]:
+    """Return how a mean that keeps a share of itself takes in new weights, faster at first."""
+
+    def take_in(kept: Weights, new: Weights, count: Tensor | int) -> None:
+        share = max(1 - keep, RECENT / (float(count) + RECENT))
+        for old, recent in zip(kept, new, strict=True):
+            old.lerp_(recent, share)
+
+    return take_in
+
+
 class Cloner:
-    """Fits the actor by least squares."""
+    """
+    Fits the actor to examples.
+
+    A running mean of its weights is steadier than the newest: averaged() gives them to a policy.
+    """
 
     def __init__(self, policy: Policy, config: CloneConfig, seed: int) -> None:
         """Make the optimiser."""
         self.policy, self.config = policy, config
         self.optimiser = torch.optim.Adam(policy.actor.parameters(), config.rate)
         self.generator = torch.Generator().manual_seed(seed)
+        self.average = AveragedModel(policy.actor, multi_avg_fn=running_mean(config.average))
+
+    def averaged(self, policy: Policy) -> Policy:
+        """Return the policy, to whose actor the running mean of the weights is given."""
+        policy.actor.load_state_dict(self.average.module.state_dict())
+        return policy
 
     def slow_down(self, share: float) -> None:
         """Set the learning rate to a share of that at first."""
         self.optimiser.param_groups[0]['lr'] = self.config.rate * share
 
     def loss(self, examples: Examples, chosen: Tensor) -> Tensor:
-        """Return the mean squared error [m2/s2] of some examples."""
+        """
+        Return the mean squared error [m2/s2] of some examples, of outliers as in Huber (1964).
+
+        Where a teacher may turn either way, squares ask for the mean, which is to stand still, and
+        hide all finer errors; in proportion, they ask for one of the two.
+        """
         x = self.policy.arranged(examples.frames[chosen], examples.first[chosen])
         mean, _ = self.policy.actor(x)
-        return (mean - examples.wanted[chosen]).square().sum(dim=-1).mean()
+        error = torch.linalg.vector_norm(mean - examples.wanted[chosen], dim=-1)
+        bound = self.config.outlier
+        return torch.where(error < bound, error.square(), bound * (2 * error - bound)).mean()
 
     def learn(self, examples: Examples) -> float:
         """Take the steps of a round; return the mean loss."""
@@ -87,4 +126,5 @@ class Cloner:
         loss.backward()
         nn.utils.clip_grad_norm_(self.policy.actor.parameters(), self.config.longest_gradient)
         self.optimiser.step()
+        self.average.update_parameters(self.policy.actor)
         return float(loss.detach())

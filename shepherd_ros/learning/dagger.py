@@ -7,6 +7,7 @@ The teacher sees the true state, the learner its lidar.
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass
 import time
 from typing import Any
@@ -111,11 +112,15 @@ def train_dagger(
     run: Run,
     on_line: Callable[[dict[str, Any]], None] = lambda line: None,
 ) -> Policy:
-    """Learn for the rounds; return the policy, which is changed in place."""
+    """
+    Learn for the rounds; return the policy, which is changed in place.
+
+    What drives, is judged and kept is a running mean of the weights that learn.
+    """
     dtype = fast_dtype()
+    cloner = Cloner(deepcopy(policy), config.clone, config.seed)
     lessons = [Lesson(config, policy, i, dtype) for i in range(config.groups)]
     examples = Examples(policy, config.capacity, dtype)
-    cloner = Cloner(policy, config.clone, config.seed)
     begun = time.monotonic()
     for done in range(config.rounds):
         for i, lesson in enumerate(lessons):
@@ -123,6 +128,7 @@ def train_dagger(
             lesson.run(config.steps, shown, examples)
         cloner.slow_down(1 - 0.95 * done / config.rounds)
         loss = cloner.learn(examples)
+        cloner.averaged(policy)
         seconds = time.monotonic() - begun
         line: dict[str, Any] = {
             'updates': done + 1,

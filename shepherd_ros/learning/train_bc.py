@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 import time
@@ -45,11 +46,12 @@ def train_bc(
     Fit a policy to bags or data sets, in place; return what was found in them.
 
     Examples go through a store from which batches are drawn, so that neighbours in time are
-    learned apart. Raises ConfigError if the bags hold no example.
+    learned apart. What is judged and kept is a running mean of the weights. Raises ConfigError
+    if the bags hold no example.
     """
     dtype = fast_dtype()
     examples = Examples(policy, config.capacity, dtype)
-    cloner = Cloner(policy, config.clone, config.seed)
+    cloner = Cloner(deepcopy(policy), config.clone, config.seed)
     begun, learned = time.monotonic(), 0
     report = Report()
     for epoch in range(config.epochs):
@@ -68,6 +70,7 @@ def train_bc(
             raise ConfigError(f'no step of the bags can be learned from:\n{report.text()}')
         if not losses:  # fewer examples than one batch has
             losses.append(cloner.take_step(examples))
+        cloner.averaged(policy)
         judged = judge(policy, config.task, config.judge_episodes, config.judge_steps, dtype)
         seconds = time.monotonic() - begun
         line: dict[str, Any] = {

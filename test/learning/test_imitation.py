@@ -155,6 +155,52 @@ def test_a_store_keeps_the_newest_examples() -> None:
     assert set(examples.first[examples.draw(200, generator)].tolist()) == {4, 5, 6, 7, 8}
 
 
+def constant_fit(outlier: float, wanted: list[float]) -> tuple[float, list[float]]:
+    """Return the velocity along the first ray that fits best, and the losses of 0, 0.1, .. 1."""
+    policy = policy_of()
+    torch.nn.init.zeros_(policy.actor.head.weight)
+    examples = Examples(policy, len(wanted), torch.float32)
+    along = torch.tensor([[w, 0.0] for w in wanted])
+    examples.add(torch.zeros(len(wanted), 3, 3, 512), torch.zeros(len(wanted)).long(), along)
+    cloner = Cloner(policy, CloneConfig(outlier=outlier), 0)
+    losses = []
+    for k in range(11):
+        policy.actor.head.bias.data[0] = k / 10
+        losses.append(float(cloner.loss(examples, torch.arange(len(wanted))).detach()))
+    return min(range(11), key=losses.__getitem__) / 10, losses
+
+
+def test_errors_are_squared_up_to_a_bound_by_hand() -> None:
+    _, losses = constant_fit(0.5, [0.1, 1.0])
+    assert losses[0] == pytest.approx((0.1**2 + 0.5 * (2 * 1.0 - 0.5)) / 2)
+    assert losses[9] == pytest.approx((0.5 * (2 * 0.8 - 0.5) + 0.1**2) / 2)
+    _, squares = constant_fit(1e6, [0.1, 1.0])
+    assert squares[0] == pytest.approx((0.1**2 + 1.0**2) / 2)
+
+
+def test_where_the_teacher_does_one_of_two_things_the_learner_does_the_usual_one() -> None:
+    wanted = [0.0] * 3 + [1.0] * 7
+    assert constant_fit(1e6, wanted)[0] == 0.7  # squares ask for the mean
+    assert constant_fit(0.15, wanted)[0] >= 0.9
+
+
+def test_the_mean_of_the_weights_by_hand() -> None:
+    policy = policy_of()
+    examples = Examples(policy, 8, torch.float32)
+    examples.add(torch.rand(8, 3, 3, 512), torch.zeros(8).long(), torch.rand(8, 2))
+    cloner = Cloner(policy, CloneConfig(minibatch=8, average=0.15), 0)
+    seen = []
+    for _ in range(3):
+        cloner.take_step(examples)
+        seen.append(policy.actor.head.bias.detach().clone())
+    assert not torch.equal(seen[1], seen[2])
+    mean = seen[0]
+    for share, new in zip((10 / 11, 0.85), seen[1:], strict=True):  # 10 / 12 is below 1 - 0.15
+        mean = mean + share * (new - mean)
+    given = cloner.averaged(policy_of()).actor.head.bias
+    torch.testing.assert_close(given, mean)
+
+
 def test_a_cloned_policy_learns_one_episode_by_heart(bags: Path) -> None:
     policy = policy_of()
     examples = Examples(policy, 100, torch.float32)
