@@ -6,8 +6,8 @@ The variables are set before rclpy is imported, here and in every process that a
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 import fcntl
 from itertools import count
 import os
@@ -86,6 +86,12 @@ def graph(tmp_path: Path) -> Iterator[Graph]:
     """Lend an empty graph to one test."""
     with own_graph(tmp_path) as own:
         yield own
+
+
+@pytest.fixture(scope='session')
+def graphs() -> Callable[[Path], AbstractContextManager[Graph]]:
+    """Return what lends an empty graph, for what should not meet the nodes of another run."""
+    return own_graph
 
 
 @pytest.fixture(scope='module')

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -24,21 +25,23 @@ from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.presets import world_preset
 from std_srvs.srv import SetBool
 
+pytestmark = pytest.mark.xdist_group('replay')  # one worker records the runs, once
+
 STEPS, SEED, NOISE, TEAM = 25, 3, 0.3, 2
 SMALL = {'n_sheep': 10, 'n_shepherds': TEAM, 'episode_steps': STEPS}
 WORLD = replace(world_preset('default'), **SMALL)
-SHOWN = 4  # times that the first state is shown once everybody listens
+SHOWN = 1  # times that the first state is shown at least once everybody listens
 TOPICS = ['/clock', '/episode', '/goal', '/flock/poses', '/shepherds/poses']
 TOPICS += [f'/shepherd_{h}/scan/{c}' for h in range(TEAM) for c in ('sheep', 'shepherds', 'goal')]
 TOPICS += [f'/shepherd_{h}/cmd_vel' for h in range(TEAM)]
 TOPICS += [f'/metrics/{name}' for name in METRICS]
 FRAME = ('stamp_ns', 'sheep', 'sheep_heading', 'shepherds', 'shepherd_heading', 'goal')
+Graphs = Callable[[Path], AbstractContextManager[Graph]]
 Said = tuple[int, str, str]
 
 
 def record_run(graph: Graph, folder: Path, controller: str, episodes: int = 1) -> Path:
     """Record a whole run in lockstep, every topic that two runs of a seed have alike."""
-    graph.until(lambda: graph.node.get_node_names() == ['probe'], 'an empty graph')
     words = ['-o', str(folder), '-x', 'markers|/diagnostics|/tf']
     recorder = graph.start_words('recorder', words)
     graph.until_nodes('recorder')
@@ -59,7 +62,6 @@ def record_run(graph: Graph, folder: Path, controller: str, episodes: int = 1) -
     assert graph.call('/flock_sim/pause', SetBool, SetBool.Request(data=False)).success
     assert sim.wait() == 0, sim
     graph.until_says(others[1], f'episode {episodes - 1}, seed {SEED + episodes - 1}: ')
-    graph.forget(track)
     assert recorder.stop() == 0, recorder
     for process in others:
         assert process.stop() == 0, process
@@ -67,16 +69,22 @@ def record_run(graph: Graph, folder: Path, controller: str, episodes: int = 1) -
 
 
 @pytest.fixture(scope='module')
-def runs(shared_graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+def runs(graphs: Graphs, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Record two runs that should be the same."""
-    folder = tmp_path_factory.mktemp('runs')
-    return [record_run(shared_graph, folder / name, 'pierson') for name in 'ab']
+    bags = []
+    for name in 'ab':
+        folder = tmp_path_factory.mktemp(name)
+        with graphs(folder) as graph:
+            bags.append(record_run(graph, folder / 'bag', 'pierson'))
+    return bags
 
 
 @pytest.fixture(scope='module')
-def row(shared_graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def row(graphs: Graphs, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record two episodes in a row."""
-    return record_run(shared_graph, tmp_path_factory.mktemp('row') / 'bag', 'strombom', 2)
+    folder = tmp_path_factory.mktemp('row')
+    with graphs(folder) as graph:
+        return record_run(graph, folder / 'bag', 'strombom', 2)
 
 
 @pytest.fixture
