@@ -8,7 +8,7 @@ import random
 from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
-from shepherd_ros.sim.presets import training_world, world_preset
+from shepherd_ros.sim.presets import home_world, training_world, world_preset
 from shepherd_ros.sim.world import WorldConfig
 
 
@@ -29,6 +29,12 @@ class TaskConfig(Config):
     repulsion_min: float = option(2.0, 'least rho_a of a Strömbom flock', low=0.0)
     repulsion_max: float = option(2.0, 'greatest rho_a of a Strömbom flock', low=0.0)
     noise_max: float = option(0.0, 'noise on perceived positions is between 0 and this [m]', low=0)
+    home_share: float = option(
+        0.0,
+        'share of episodes that start with the flock in the goal and shepherds all around it',
+        low=0.0,
+        high=1.0,
+    )
     episode_steps: int = option(400, 'steps after which a training episode is cut', low=1)
 
     def __post_init__(self) -> None:
@@ -49,7 +55,9 @@ def draw_environment(task: TaskConfig, seed: int) -> EnvConfig:
     sheep = draw.randint(task.sheep_min, task.sheep_max)
     repulsion = draw.uniform(task.repulsion_min, task.repulsion_max)
     noise = draw.uniform(0.0, task.noise_max)
+    at_home = draw.random() < task.home_share
     base = base_world(task, flock if task.flock == 'both' else task.flock)
+    base = home_world(base) if at_home else base
     flock_config = base.flock
     if isinstance(flock_config, StrombomFlock):
         flock_config = replace(flock_config, sheep_repulsion=repulsion)

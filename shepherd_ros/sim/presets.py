@@ -96,6 +96,20 @@ def training_world(world: WorldConfig) -> WorldConfig:
     return replace(world, n_sheep=100, n_shepherds=6, goal_radius=4.0, spawn=spawn)
 
 
+def home_world(world: WorldConfig) -> WorldConfig:
+    """Return a world that starts with the flock in the goal and shepherds all around it."""
+    spawn = replace(
+        world.spawn,
+        flock_distance_min=0.0,
+        flock_distance_max=2.0,
+        shepherd_distance_min=8.0,
+        shepherd_distance_max=30.0,
+        shepherds_around=True,
+        position_std=3.0,
+    )
+    return replace(world, spawn=spawn)
+
+
 def evaluation_world(world: WorldConfig) -> WorldConfig:
     """Return a world that starts as in evaluation: a goal of 4 m, a team of fixed size."""
     spawn = replace(world.spawn, goal_radius_extra=0.0, fewest_shepherds=0)

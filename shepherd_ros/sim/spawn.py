@@ -14,19 +14,22 @@ def spawn(config: WorldConfig, seed: Tensor, dtype: torch.dtype = torch.float32)
     """
     Return the first state of the episodes with these seeds; (...) int64.
 
-    The flock's center lies in a random direction from the goal, the shepherds' center in a random
-    direction from the flock's (from its first group's, if it has several); each agent is a signed
-    normal distance from its center, in a random direction. The k-th agent of a seed starts in the
-    same place whatever the size of its group, given the number of groups.
+    The flock's center lies in a random direction from the goal, the shepherds' center (or, with
+    shepherds_around, that of each) in a random direction from the flock's (from its first
+    group's, if it has several); each agent is a signed normal distance from its center, in a
+    random direction. The k-th agent of a seed starts in the same place whatever the size of its
+    group, given the number of groups.
     """
     device, zero = seed.device, torch.zeros_like(seed)
     n, m, start = config.n_sheep, config.n_shepherds, config.spawn
     one = torch.arange(2, device=device)
 
-    def center(stream: Stream, nearest: float, farthest: float, group: int = 0) -> Tensor:
-        way = direction(seed, zero, stream, one[:1] + 2 * group, torch.float64)[..., 0, :]
-        share = uniform(seed, zero, stream, one[1:] + 2 * group, torch.float64)
-        return way * (nearest + (farthest - nearest) * share)
+    def places(stream: Stream, nearest: float, farthest: float, count: int) -> Tensor:
+        """Return where centers are, each in a random direction and range, (..., count, 2) m."""
+        index = 2 * torch.arange(count, device=device)
+        way = direction(seed, zero, stream, index, torch.float64)
+        share = uniform(seed, zero, stream, index + 1, torch.float64)
+        return way * (nearest + (farthest - nearest) * share)[..., None]
 
     def around(stream: Stream, count: int) -> Tensor:
         index = torch.arange(count, device=device)
@@ -34,18 +37,18 @@ def spawn(config: WorldConfig, seed: Tensor, dtype: torch.dtype = torch.float32)
         return direction(seed, zero, stream, 2 * index + 1, torch.float64) * distance[..., None]
 
     limits = (start.flock_distance_min, start.flock_distance_max)
-    groups = [center(Stream.FLOCK_PLACE, *limits, g) for g in range(start.flock_groups)]
+    groups = places(Stream.FLOCK_PLACE, *limits, start.flock_groups)
     # sheep k belongs to group k modulo their number; (..., N, 2) m
-    home = torch.stack(groups, dim=-2)[..., torch.arange(n, device=device) % len(groups), :]
-    team = groups[0] + center(
-        Stream.SHEPHERD_PLACE, start.shepherd_distance_min, start.shepherd_distance_max
-    )
+    home = groups[..., torch.arange(n, device=device) % start.flock_groups, :]
+    limits = (start.shepherd_distance_min, start.shepherd_distance_max)
+    centers = m if start.shepherds_around else 1
+    team = groups[..., :1, :] + places(Stream.SHEPHERD_PLACE, *limits, centers)
     extra = uniform(seed, zero, Stream.GOAL_RADIUS, one[:1], torch.float64)[..., 0]
     fewest = start.fewest_shepherds or m
     spread = uniform(seed, zero, Stream.N_SHEPHERDS, one[:1], torch.float64)
     size = fewest + (spread * (m - fewest + 1)).long()  # (..., 1)
     shepherd_mask = torch.arange(m, device=device) < size
-    shepherds = team[..., None, :] + around(Stream.SHEPHERD_POSITION, m)
+    shepherds = team + around(Stream.SHEPHERD_POSITION, m)
     return WorldState(
         seed=seed,
         step=zero,

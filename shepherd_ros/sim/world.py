@@ -23,6 +23,9 @@ class SpawnConfig(Config):
     flock_distance_max: float = option(20.0, 'goal to flock, farthest [m]', low=0.0)
     shepherd_distance_min: float = option(5.0, 'flock to shepherds, nearest [m]', low=0.0)
     shepherd_distance_max: float = option(10.0, 'flock to shepherds, farthest [m]', low=0.0)
+    shepherds_around: bool = option(
+        False, 'each shepherd in a direction of its own from the flock, not all in one (choice)'
+    )
     position_std: float = option(
         1.0, 'standard deviation of the signed distance of an agent to its group [m]', low=0.0
     )

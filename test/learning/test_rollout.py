@@ -16,6 +16,7 @@ from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import ObservationConfig, turned
+from shepherd_ros.sim.presets import home_world
 import torch
 from torch import Tensor
 
@@ -148,6 +149,17 @@ def test_worlds_are_drawn_from_the_task() -> None:
     spawn = drawn[0].world.spawn
     assert (drawn[0].world.n_shepherds, spawn.fewest_shepherds) == (5, 2)
     assert (drawn[0].world.goal_radius, spawn.goal_radius_extra) == (3.0, 6.0)
+
+
+def test_a_share_of_the_episodes_starts_at_home_and_nothing_else_changes() -> None:
+    usual = TaskConfig(sheep_min=10, noise_max=1.0)
+    drawn = [draw_environment(replace(usual, home_share=0.3), seed) for seed in range(1000)]
+    home = [env.world.spawn.shepherds_around for env in drawn]
+    assert sum(home) / 1000 == pytest.approx(0.3, abs=0.04)
+    for seed, env in enumerate(drawn):
+        plain = draw_environment(usual, seed)
+        world = home_world(plain.world) if home[seed] else plain.world
+        assert env == replace(plain, world=world)
 
 
 def test_a_task_whose_limits_are_the_wrong_way_round_is_refused() -> None:

@@ -9,7 +9,7 @@ import pytest
 from reference import assert_near, assert_same_world, batch, make_state, padded, state_of
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.perception import perceive
-from shepherd_ros.sim.presets import training_world
+from shepherd_ros.sim.presets import home_world, training_world
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import stack, where, WorldState
 from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, masked_mean, unit, wrap
@@ -54,6 +54,33 @@ def test_the_shepherds_start_five_to_ten_meters_from_the_flock_in_any_direction(
     assert is_even_all_round(offset)
     relative = torch.atan2(offset[:, 1], offset[:, 0]) - bearing(state.center)
     assert wrap(relative).mean().abs() < 0.15  # independent of where the flock is
+
+
+def test_shepherds_all_around_have_a_direction_and_a_distance_each() -> None:
+    around = replace(TIGHT, shepherds_around=True)
+    state = starts(WorldConfig(n_sheep=2, n_shepherds=3, spawn=around))
+    together = starts(WorldConfig(n_sheep=2, n_shepherds=3, spawn=TIGHT))
+    assert torch.equal(state.sheep, together.sheep)
+    assert torch.equal(state.shepherds[:, 0], together.shepherds[:, 0])
+    offset = state.shepherds - state.center[:, None]
+    distance = offset.norm(dim=-1)
+    assert 5.0 - 1e-9 <= distance.min() <= distance.max() <= 10.0
+    between = wrap(bearing(offset[:, 1:]) - bearing(offset[:, :1]))
+    for k in range(2):
+        assert is_even_all_round(offset[:, k + 1])
+        assert is_even_all_round(from_bearing(between[:, k]))
+    assert torch.corrcoef(distance.T)[0, 1:].abs().max() < 0.06
+
+
+def test_a_start_at_home_has_the_flock_in_the_goal_and_shepherds_on_all_sides() -> None:
+    world = home_world(WorldConfig(n_sheep=100, n_shepherds=3))
+    state = starts(world, 400)
+    assert state.center.norm(dim=-1).max() < 3.0
+    inside = (state.sheep.norm(dim=-1) < 4.0).double().mean()
+    assert 0.6 < inside < 0.9  # strays have to be fetched
+    offset = state.shepherds - state.center[:, None]
+    between = wrap(bearing(offset[:, 1]) - bearing(offset[:, 0]))
+    assert (between.abs() > math.pi / 2).double().mean() == pytest.approx(0.5, abs=0.08)
 
 
 def test_a_flock_in_groups_has_a_center_for_each_and_the_first_is_that_of_a_whole_one() -> None:
