@@ -65,6 +65,22 @@ def test_training_goes_on_from_a_checkpoint_with_what_is_asked_changed(tmp_path:
     assert record['command'].startswith(f'shepherd train ppo --start {first}')
 
 
+def test_quick_is_another_recipe_in_which_options_count_as_ever(tmp_path: Path) -> None:
+    assert train(f'ppo --quick {NETWORK} {TINY} --home-share 0.5', tmp_path / 'quick') == 0
+    assert train(f'ppo {NETWORK} {TINY}', tmp_path / 'usual') == 0
+    quick, usual = (
+        read_metadata(tmp_path / name / 'best.safetensors')[1]['config']
+        for name in ('quick', 'usual')
+    )
+    assert quick['policy']['observation']['layout'] == 'ring'
+    assert usual['policy']['observation']['layout'] != 'ring'
+    assert quick['policy']['network']['padding'] == 'circular'
+    assert quick['policy']['network']['hidden'] == usual['policy']['network']['hidden'] == 8
+    assert quick['run']['samples'] == usual['run']['samples'] == 40
+    assert (quick['run']['task']['home_share'], usual['run']['task']['home_share']) == (0.5, 0.0)
+    assert quick['run']['task']['goal_radius_max'] == 6.0
+
+
 @pytest.mark.parametrize(
     ('words', 'message'),
     [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, make_dataclass, replace
 from pathlib import Path
 import shlex
@@ -14,7 +14,9 @@ from shepherd_ros.cli.arguments import arguments_of, configured
 from shepherd_ros.cli.code import commit
 from shepherd_ros.config import Config
 from shepherd_ros.learning.dagger import DaggerConfig, train_dagger
+from shepherd_ros.learning.ppo import PPOConfig
 from shepherd_ros.learning.run_folder import Run
+from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.train_bc import BCConfig, train_bc
 from shepherd_ros.learning.train_ppo import PPORunConfig, train_ppo
 from shepherd_ros.memory import keep_memory
@@ -28,16 +30,56 @@ import tyro
 
 # what works on a CPU; the defaults of the policy itself are the paper's
 LEARNS_WELL = ObservationConfig(align='goal', unit=10.0)
-FROM_SCRATCH = PolicyConfig(
-    repeat=8,
-    observation=replace(LEARNS_WELL, spacing=8),
-    network=NetworkConfig(min_std=0.2),
-)
-IMITATION = PolicyConfig(observation=replace(LEARNS_WELL, spacing=4))
-QUICK: dict[type[Config], dict[str, Any]] = {
-    PPORunConfig: {'samples': 300_000},
-    DaggerConfig: {'rounds': 30},
-    BCConfig: {'epochs': 2},
+RING = replace(LEARNS_WELL, layout='ring')
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What is trained, and how, unless options say otherwise."""
+
+    policy: PolicyConfig
+    run: Config
+
+
+USUAL = {
+    'ppo': Recipe(
+        PolicyConfig(
+            repeat=8,
+            observation=replace(LEARNS_WELL, spacing=8),
+            network=NetworkConfig(min_std=0.2),
+        ),
+        PPORunConfig(),
+    ),
+    'dagger': Recipe(PolicyConfig(observation=replace(LEARNS_WELL, spacing=4)), DaggerConfig()),
+    'bc': Recipe(PolicyConfig(observation=replace(LEARNS_WELL, spacing=4)), BCConfig()),
+}
+QUICK = {
+    'ppo': Recipe(
+        PolicyConfig(
+            repeat=8,
+            observation=replace(RING, spacing=8),
+            network=NetworkConfig(
+                filters_1=16, filters_2=32, hidden=128, padding='circular', min_std=0.2
+            ),
+        ),
+        PPORunConfig(
+            samples=1_000_000,
+            task=TaskConfig(goal_radius_max=6.0, home_share=0.35),
+            ppo=PPOConfig(actor_rate=2.5e-4, critic_rate=6e-4),
+        ),
+    ),
+    'dagger': Recipe(
+        PolicyConfig(
+            observation=replace(RING, spacing=4), network=NetworkConfig(padding='circular')
+        ),
+        DaggerConfig(rounds=40),
+    ),
+    'bc': Recipe(
+        PolicyConfig(
+            observation=replace(RING, spacing=4), network=NetworkConfig(padding='circular')
+        ),
+        BCConfig(epochs=2),
+    ),
 }
 
 
@@ -54,17 +96,16 @@ class Common:
     The policy is then as in the checkpoint, but for the --policy options that are given.
     """
     quick: bool = False
-    """About ten minutes instead of an hour, for a first result."""
+    """About ten minutes instead of an hour: a small ring network and fewer samples or rounds."""
     threads: int = 1
     """Threads of torch."""
     device: str = 'cpu'
     """Where PPO keeps worlds and networks: cpu, or cuda."""
 
 
-def verb(
-    kind: type[Config], policy: PolicyConfig, train: Callable[..., Any], bags: bool = False
-) -> type[Any]:
+def verb(recipe: Recipe, train: Callable[..., Any], bags: bool = False) -> type[Any]:
     """Return the class of a verb, with the arguments of its configuration."""
+    kind = type(recipe.run)
 
     def run(arguments: Any) -> int:
         return _run(arguments, kind, train)
@@ -74,7 +115,7 @@ def verb(
         help_text = 'Bags, folders of bags, or data sets of `shepherd dataset build`.'
         positional = Annotated[tuple[Path, ...], tyro.conf.arg(help=help_text)]
         rows.append(('bags', tyro.conf.Positional[positional], ()))
-    policy_arguments, config = arguments_of(policy), arguments_of(kind())
+    policy_arguments, config = arguments_of(recipe.policy), arguments_of(recipe.run)
     flat: Any = tyro.conf.OmitArgPrefixes
     rows += [
         ('policy', policy_arguments, field(default_factory=policy_arguments)),
@@ -84,26 +125,30 @@ def verb(
     return make_dataclass(kind.__name__, rows, bases=(Common,), namespace=names, kw_only=True)
 
 
-def verbs(start: PolicyConfig | None = None) -> dict[str, Callable[..., Any]]:
-    """Return the verbs of training by name; start is that of the checkpoint they begin with."""
+def verbs(recipes: Mapping[str, Recipe]) -> dict[str, Callable[..., Any]]:
+    """Return the verbs of training by name."""
     return {
-        'ppo': verb(PPORunConfig, start or FROM_SCRATCH, train_ppo),
-        'dagger': verb(DaggerConfig, start or IMITATION, train_dagger),
-        'bc': verb(BCConfig, start or IMITATION, train_bc, bags=True),
+        'ppo': verb(recipes['ppo'], train_ppo),
+        'dagger': verb(recipes['dagger'], train_dagger),
+        'bc': verb(recipes['bc'], train_bc, bags=True),
     }
 
 
 def train(words: list[str], doc: str) -> int:
     """Run the verb that words of a command line name; return the exit code."""
 
-    def parsed(start: PolicyConfig | None = None) -> Any:
+    def parsed(recipes: Mapping[str, Recipe]) -> Any:
         return tyro.extras.subcommand_cli_from_dict(
-            verbs(start), prog='shepherd train', description=doc, args=words
+            verbs(recipes), prog='shepherd train', description=doc, args=words
         )
 
-    chosen = parsed()
+    chosen = parsed(USUAL)
+    recipes = QUICK if chosen.quick else USUAL
     if chosen.start:  # what is not said about the policy is as in the checkpoint
-        chosen = parsed(load_policy(chosen.start).config)
+        policy = load_policy(chosen.start).config
+        recipes = {name: replace(recipe, policy=policy) for name, recipe in recipes.items()}
+    if recipes is not USUAL:
+        chosen = parsed(recipes)
     chosen.command = shlex.join(['shepherd', 'train', *words])
     return int(chosen.run())
 
@@ -124,11 +169,6 @@ def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
     torch.set_num_threads(arguments.threads)
     keep_memory()
     config = configured(kind, arguments.run_)
-    if arguments.quick:
-        usual = kind()
-        for name, value in QUICK[kind].items():
-            if getattr(config, name) == getattr(usual, name):
-                config = replace(config, **{name: value})
     torch.manual_seed(arguments.run_.seed)
     policy = _policy(arguments).to(arguments.device)
     record = {
