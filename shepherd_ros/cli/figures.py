@@ -76,7 +76,7 @@ class Figures:
                 judge_values,
             )
             from shepherd_ros.evaluation.report import page
-            from shepherd_ros.evaluation.table import CSV_HEADER, csv_rows, markdown
+            from shepherd_ros.evaluation.table import CSV_HEADER, csv_rows, grids
 
             judgements = [
                 *judge_curves(curves),
@@ -89,6 +89,6 @@ class Figures:
             lines = CSV_HEADER + ''.join(csv_rows(found) for found in samples.values())
             (self.out / 'summary.csv').write_text(lines, encoding='utf-8')
             if 'table' in samples:
-                (self.out / 'table.md').write_text(markdown(samples['table']), encoding='utf-8')
+                (self.out / 'table.md').write_text(grids(samples['table']), encoding='utf-8')
             print(self.out / 'README.md')
         return 0

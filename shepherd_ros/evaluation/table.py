@@ -54,6 +54,36 @@ def markdown(samples: Samples, columns: Sequence[str] = COLUMNS) -> str:
     return '\n'.join(lines) + '\n'
 
 
+def grid(samples: Samples, metric: str) -> str:
+    """Return a table of one metric: a row for each flock size and controller, teams across."""
+    teams = sorted(set(samples.axis('shepherds')))
+    cells = {
+        (setting.sheep, label(controller), setting.shepherds): interval_text(
+            *(float(x) for x in mean_interval(values[metric]))
+        )
+        for controller, setting, values in means(samples, (metric,))
+    }
+    rows = dict.fromkeys((sheep, who) for sheep, who, _ in cells)
+    lines = [
+        f'| sheep | controller | {" | ".join(f"M = {m}" for m in teams)} |',
+        '|--:|:--|' + '--:|' * len(teams),
+    ]
+    for sheep, who in rows:
+        texts = [cells.get((sheep, who, m), '') for m in teams]
+        lines.append(f'| {sheep} | {who} | {" | ".join(texts)} |')
+    return '\n'.join(lines) + '\n'
+
+
+def grids(samples: Samples, columns: Sequence[str] = COLUMNS) -> str:
+    """Return a page with the grid() of each metric."""
+    intro = (
+        f'# {samples.experiment.title}\n\n{len(samples.seeds)} starts of each cell, '
+        f'{samples.steps} steps; means with 95 % bootstrap intervals.\n'
+    )
+    parts = [f'\n## {header(name).capitalize()}\n\n{grid(samples, name)}' for name in columns]
+    return intro + ''.join(parts)
+
+
 def csv_rows(samples: Samples) -> str:
     """Return a line for each setting, controller and metric, without a header."""
     text = StringIO()

@@ -41,7 +41,7 @@ from shepherd_ros.evaluation.rows import read_rows, Rows, SCHEMA, table_of, VALU
 from shepherd_ros.evaluation.samples import Samples, samples_of
 from shepherd_ros.evaluation.setting import env_config, Setting, settled
 from shepherd_ros.evaluation.statements import CLAIMS
-from shepherd_ros.evaluation.table import interval_text, markdown
+from shepherd_ros.evaluation.table import grid, grids, interval_text, markdown
 from shepherd_ros.evaluation.value_map import value_map
 from shepherd_ros.policy.checkpoint import save_policy
 from shepherd_ros.policy.policy import Policy, PolicyConfig
@@ -122,6 +122,23 @@ def test_means_of_a_cell_and_their_interval_are_those_by_hand() -> None:
     assert samples is not None
     assert samples.values['pierson', 'completion_time'].tolist() == [[10, 20, 30, 40]]
     assert '| 10 | Pierson | 25 [15, 35] |' in markdown(samples)
+
+
+def test_a_grid_has_flocks_and_controllers_down_and_teams_across() -> None:
+    cells = {(50, 1, 'pierson'): 20.0, (50, 3, 'pierson'): 30.0, (50, 3, 'idle'): 40.0}
+    tables = [
+        made_up(Setting(sheep=n, shepherds=m), who, completion_time=[value] * 4)
+        for (n, m, who), value in cells.items()
+    ]
+    samples = samples_of(Rows(pa.concat_tables(tables)), EXPERIMENTS['table'])
+    assert samples is not None
+    lines = grid(samples, 'completion_time').splitlines()
+    assert lines[0] == '| sheep | controller | M = 1 | M = 3 |'
+    assert lines[2:] == [
+        '| 50 | Pierson | 20 [20, 20] | 30 [30, 30] |',
+        '| 50 | idle |  | 40 [40, 40] |',
+    ]
+    assert grid(samples, 'completion_time') in grids(samples)
 
 
 def test_an_episode_that_is_there_twice_counts_once_and_cells_share_their_seeds() -> None:
