@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -49,7 +50,8 @@ def samples_of(
     Return the episodes of an experiment, or raise ConfigError if they do not fit together.
 
     None: rows of fewer than `least` of its settings. A controller that lacks a setting has NaN
-    there; if only what is whole is wanted, it is left out.
+    there; one that has less than half of what another has, or lacks any if only what is whole is
+    wanted, is left out.
     """
     cells: dict[tuple[str, int], np.ndarray] = {}  # controller, setting -> indices of rows
     settings = list(dict.fromkeys(map(settled, experiment.settings)))
@@ -60,6 +62,9 @@ def samples_of(
             if name in FLOORS and name not in experiment.controllers:
                 continue  # rows of the table, which would clutter a figure
             cells[name, place] = np.flatnonzero(mask & rows.where(controller=name))
+    count = Counter(name for name, _ in cells)
+    most = max(count.values(), default=0)
+    cells = {key: index for key, index in cells.items() if 2 * count[key[0]] >= most}
     if whole:
         cells = _of_whole(cells, rows, experiment, settings)
     if len({place for _, place in cells}) < least:

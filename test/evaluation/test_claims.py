@@ -152,6 +152,20 @@ def test_an_episode_that_is_there_twice_counts_once_and_cells_share_their_seeds(
     assert samples.values['pierson', 'completion_time'].tolist() == [[1, 2], [5, 6]]
 
 
+def test_a_controller_with_less_than_half_of_the_settings_is_left_out() -> None:
+    def cells(who: str, sheep: range) -> list[pa.Table]:
+        return [made_up(Setting(sheep=n), who, completion_time=[1.0, 2.0]) for n in sheep]
+
+    tables = [
+        *cells('pierson', range(10, 101, 10)),
+        *cells('drover', range(10, 51, 10)),
+        *cells('strombom', range(10, 41, 10)),
+    ]
+    samples = samples_of(Rows(pa.concat_tables(tables)), EXPERIMENTS['fig4'])
+    assert samples is not None
+    assert sorted(samples.controllers) == ['drover', 'pierson']
+
+
 def test_of_a_sweep_only_controllers_of_which_all_is_there_are_drawn() -> None:
     sweep = EXPERIMENTS['starts']
     first, *others = map(settled, sweep.settings)
