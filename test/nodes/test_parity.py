@@ -87,7 +87,21 @@ def test_scans_and_metrics_over_topics_are_those_of_the_core(
         'flock_sim', executor=executor, wait_for_scans=True, episode_steps=STEPS, episodes=1
     )
     states, metrics = rollout('strombom', EnvConfig(noise_std=noise_std, world=world_of()))
-    run_whole(graph, track, states, 'strombom', executor=executor, noise_std=noise_std)
+
+    def newest(heard: list[LaserScan]) -> int:
+        return nanoseconds(heard[-1].header.stamp) if heard else 0
+
+    # step by step, as scans are best effort: what a slow probe has lost is shown again
+    for k in range(len(states)):
+        graph.until(
+            lambda k=k: len(track.stamps) > k and set(map(newest, scans.values())) == {track.last},
+            f'scans of state {k}',
+        )
+        if k < STEPS:
+            assert graph.call_named('flock_sim/step', n=1) == [(True, '1 steps, then paused')]
+        if k == 0:
+            graph.start('strombom', executor=executor, noise_std=noise_std)
+    assert_same_states(track, states)
 
     expected_rows = [tuple(float(row[name]) for name in METRICS) for row in metrics]
 
@@ -96,15 +110,8 @@ def test_scans_and_metrics_over_topics_are_those_of_the_core(
         heard = zip(*values.values(), strict=False)
         return [key for key, _ in groupby(tuple(m.data for m in row) for row in heard)]
 
-    def newest(heard: list[LaserScan]) -> int:
-        return nanoseconds(heard[-1].header.stamp) if heard else 0
-
     graph.until(lambda: len(rows()) == len(states), 'metrics of every state')
     assert rows() == expected_rows
-    graph.until(
-        lambda: all(newest(heard) == track.last for heard in scans.values()),
-        'scans of the last state',
-    )
     for (h, c), heard in scans.items():
         ranges = {nanoseconds(m.header.stamp): np.frombuffer(m.ranges, np.float32) for m in heard}
         assert sorted(ranges) == track.stamps
