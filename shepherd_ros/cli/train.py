@@ -31,6 +31,20 @@ import tyro
 # what works on a CPU; the defaults of the policy itself are the paper's
 LEARNS_WELL = ObservationConfig(align='goal', unit=10.0)
 RING = replace(LEARNS_WELL, layout='ring')
+FROM_SCRATCH = PolicyConfig(
+    repeat=8,
+    observation=replace(LEARNS_WELL, spacing=8),
+    network=NetworkConfig(min_std=0.2),
+)
+SMALL_RING = PolicyConfig(
+    repeat=8,
+    observation=replace(RING, spacing=8),
+    network=NetworkConfig(filters_1=16, filters_2=32, hidden=128, padding='circular', min_std=0.2),
+)
+IMITATION = PolicyConfig(observation=replace(LEARNS_WELL, spacing=4))
+IMITATION_RING = PolicyConfig(
+    observation=replace(RING, spacing=4), network=NetworkConfig(padding='circular')
+)
 
 
 @dataclass(frozen=True)
@@ -42,44 +56,21 @@ class Recipe:
 
 
 USUAL = {
-    'ppo': Recipe(
-        PolicyConfig(
-            repeat=8,
-            observation=replace(LEARNS_WELL, spacing=8),
-            network=NetworkConfig(min_std=0.2),
-        ),
-        PPORunConfig(),
-    ),
-    'dagger': Recipe(PolicyConfig(observation=replace(LEARNS_WELL, spacing=4)), DaggerConfig()),
-    'bc': Recipe(PolicyConfig(observation=replace(LEARNS_WELL, spacing=4)), BCConfig()),
+    'ppo': Recipe(FROM_SCRATCH, PPORunConfig()),
+    'dagger': Recipe(IMITATION, DaggerConfig()),
+    'bc': Recipe(IMITATION, BCConfig()),
 }
 QUICK = {
     'ppo': Recipe(
-        PolicyConfig(
-            repeat=8,
-            observation=replace(RING, spacing=8),
-            network=NetworkConfig(
-                filters_1=16, filters_2=32, hidden=128, padding='circular', min_std=0.2
-            ),
-        ),
+        SMALL_RING,
         PPORunConfig(
             samples=1_000_000,
             task=TaskConfig(goal_radius_max=6.0, home_share=0.35),
             ppo=PPOConfig(actor_rate=2.5e-4, critic_rate=6e-4),
         ),
     ),
-    'dagger': Recipe(
-        PolicyConfig(
-            observation=replace(RING, spacing=4), network=NetworkConfig(padding='circular')
-        ),
-        DaggerConfig(rounds=40),
-    ),
-    'bc': Recipe(
-        PolicyConfig(
-            observation=replace(RING, spacing=4), network=NetworkConfig(padding='circular')
-        ),
-        BCConfig(epochs=2),
-    ),
+    'dagger': Recipe(IMITATION_RING, DaggerConfig(rounds=40)),
+    'bc': Recipe(IMITATION_RING, BCConfig(epochs=2)),
 }
 
 
@@ -96,7 +87,7 @@ class Common:
     The policy is then as in the checkpoint, but for the --policy options that are given.
     """
     quick: bool = False
-    """About ten minutes instead of an hour: a small ring network and fewer samples or rounds."""
+    """For a first result, aimed at ten minutes: a ring network, and fewer samples or rounds."""
     threads: int = 1
     """Threads of torch."""
     device: str = 'cpu'
