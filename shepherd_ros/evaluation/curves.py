@@ -18,16 +18,22 @@ END = 0.2  # share of the samples in which a curve has to be flat
 FLAT_RISE = 0.05  # it is flat if it rises there by less than this share of its whole rise
 FEWEST = 10  # points of a curve that can be judged
 ENOUGH = 10e6  # samples after which a curve that was ended early may count as flat
+WINDOW = 100e3  # samples over which a training's rewards are averaged for the eye
 
 
 @dataclass(frozen=True)
 class Curve:
     """The progress of one training."""
 
-    name: str
+    name: str  # of the policy, and after a dot of what sets the training apart, such as a seed
     samples: Array  # (K,) transitions of a shepherd
     returns: Array  # (K,)
     judged: bool  # True: of whole episodes that were judged; False: mean reward x 1000 steps
+
+    @property
+    def policy(self) -> str:
+        """Return the name without what comes after a dot: trainings of one policy share it."""
+        return self.name.partition('.')[0]
 
 
 def read_curve(path: Path) -> Curve:
@@ -60,6 +66,14 @@ def find_curves(paths: Sequence[Path]) -> list[Curve]:
         found += sorted(path.glob('*.jsonl'))
         found += sorted(run.parent for run in path.glob('*/curve.jsonl'))
     return [curve for curve in map(read_curve, found) if len(curve.samples)]
+
+
+def smoothed(curve: Curve, window: float = WINDOW) -> Array:
+    """Return the mean of the returns at most half a window of samples away, at each point."""
+    total = np.concatenate([[0.0], curve.returns.cumsum()])
+    low = np.searchsorted(curve.samples, curve.samples - window / 2, side='left')
+    high = np.searchsorted(curve.samples, curve.samples + window / 2, side='right')
+    return np.asarray((total[high] - total[low]) / (high - low))
 
 
 def rise_and_end(curve: Curve) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 import numpy as np
 from shepherd_ros.evaluation.bootstrap import mean_interval
-from shepherd_ros.evaluation.curves import Curve
+from shepherd_ros.evaluation.curves import Curve, smoothed
 from shepherd_ros.evaluation.methods import label
 from shepherd_ros.evaluation.samples import Samples
 from shepherd_ros.evaluation.value_map import SIDE, ValueMap
@@ -172,15 +172,27 @@ def draw_maps(samples: Samples) -> Figure:
 
 
 def draw_curves(curves: Sequence[Curve]) -> Figure:
-    """Return return over samples of several trainings (figure 3)."""
+    """
+    Return return over samples of several trainings (figure 3), a running mean of it.
+
+    Other trainings of the same policy are drawn like the first, but thinner.
+    """
     figure, panels = new_figure(1, 1, 6.0, 3.2)
     axes = panels[0, 0]
-    for curve, (color, line, marker) in zip(curves, POLICIES * len(curves), strict=False):
-        kind = 'judged episodes' if curve.judged else 'mean reward x 1000'
+    policies = dict.fromkeys(curve.policy for curve in curves)
+    looks = dict(zip(policies, POLICIES * len(policies), strict=False))
+    named: set[str] = set()
+    for curve in curves:
+        color, line, marker = looks[curve.policy]
         every = max(len(curve.samples) // 12, 1)
         look = {'color': color, 'linestyle': line, 'marker': marker, 'markevery': every}
-        text = f'{curve.name} (ours; {kind})'
-        axes.plot(curve.samples / 1e6, curve.returns, label=text, markersize=4, **look)
+        if curve.policy in named:  # another training of the same
+            axes.plot(curve.samples / 1e6, smoothed(curve), markersize=3, linewidth=0.7, **look)
+            continue
+        named.add(curve.policy)
+        kind = 'judged episodes' if curve.judged else 'mean reward x 1000'
+        text = f'{curve.policy} (ours; {kind})'
+        axes.plot(curve.samples / 1e6, smoothed(curve), label=text, markersize=4, **look)
     tidy(axes, 'samples [million]', 'return of an episode')
     axes.set_ylim(top=10.0)
     axes.legend(fontsize=8, frameon=False)

@@ -111,13 +111,16 @@ def _single(
 
 
 def judge_curves(curves: Sequence[Curve]) -> list[Judgement]:
-    """Return the judgement on figure 3 for each curve."""
+    """Return the judgement on figure 3 for each policy, with a finding for each training."""
     statement, found = 'The return rises and flattens within 100 million samples', []
-    for curve in curves:
-        result, reason = judge_curve(curve)
-        finding = Finding(_plain(curve.name), math.nan, math.nan, math.nan, result, reason)
-        by_reward = not curve.judged  # other trainings know no reward
-        found.append(_single('fig3', statement, curve.name, finding, counts=by_reward))
+    for policy in dict.fromkeys(curve.policy for curve in curves):
+        own, findings = [curve for curve in curves if curve.policy == policy], []
+        for curve in own:
+            result, reason = judge_curve(curve)
+            numbers = (math.nan, math.nan, math.nan)
+            findings.append(Finding(_plain(curve.name), *numbers, result, reason))
+        by_reward = not own[0].judged  # other trainings know no reward
+        found.append(_single('fig3', statement, policy, *findings, counts=by_reward))
     if found:
         return found
     missing = Finding(_plain('curve'), math.nan, math.nan, math.nan, UNDECIDED, 'no curves')

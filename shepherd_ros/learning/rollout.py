@@ -77,11 +77,19 @@ class Group:
         return scan(perceive(self.state, self.config.noise_std), policy.config.lidar)
 
     def advance(self, command: Tensor, repeat: int, reward: Reward) -> Tensor:
-        """Hold a command (B, H, 2) m/s for some steps; return the sum of the rewards, (B, H)."""
-        total = command.new_zeros(command.shape[:-1])
+        """
+        Hold a command (B, H, 2) m/s for some steps; return the sum of the rewards, (B, H).
+
+        What the way costs is each shepherd's own.
+        """
+        total, effort = command.new_zeros(command.shape[:-1]), self.task.effort
         for _ in range(repeat):
+            before = self.state.shepherds
             self.state = step(self.state, command, self.config.world)
             total += reward(self.state, self.config)
+            if effort > 0:
+                way = torch.linalg.vector_norm(self.state.shepherds - before, dim=-1)
+                total -= effort * way
         self.left -= repeat
         return total
 

@@ -14,7 +14,7 @@ from shepherd_ros.sim.world import WorldConfig
 
 @dataclass(frozen=True)
 class TaskConfig(Config):
-    """Ranges that each episode is drawn from, evenly; the defaults are the paper's training."""
+    """What each episode is drawn from, evenly, and pays; the defaults are the paper's training."""
 
     preset: str = option('default', 'named setting of time step and flock')
     flock: str = option(
@@ -34,6 +34,9 @@ class TaskConfig(Config):
         'share of episodes that start with the flock in the goal and shepherds all around it',
         low=0.0,
         high=1.0,
+    )
+    effort: float = option(
+        0.0, 'reward that a meter of its way costs a shepherd (choice: the paper has none)', low=0
     )
     episode_steps: int = option(400, 'steps after which a training episode is cut', low=1)
 

@@ -26,7 +26,7 @@ from shepherd_ros.evaluation.claims import (
     UNDECIDED,
     verdict,
 )
-from shepherd_ros.evaluation.curves import Curve, find_curves, judge_curve
+from shepherd_ros.evaluation.curves import Curve, find_curves, judge_curve, smoothed
 from shepherd_ros.evaluation.experiments import EXPERIMENTS, QUICK_STEPS
 from shepherd_ros.evaluation.judgement import (
     as_the_paper,
@@ -377,6 +377,24 @@ def test_curves_are_found_in_files_and_runs(tmp_path: Path) -> None:
     (tmp_path / 'b.jsonl').write_text('{"loss": 1}')
     with pytest.raises(ConfigError, match=r'b.jsonl is no curve of a training'):
         find_curves([tmp_path / 'b.jsonl'])
+
+
+def test_trainings_of_one_policy_are_judged_together() -> None:
+    flat, steep = [*range(20), *[20] * 20], list(range(40))
+    names = {'a': flat, 'b': flat, 'a.seed_1': steep}
+    samples = np.linspace(0, 100e6, 40)
+    curves = [Curve(name, samples, np.array(r, float), True) for name, r in names.items()]
+    first, second = judge_curves(curves)
+    assert (first.policy, first.verdict) == ('a', DISAGREES)  # one of its two does
+    assert [f.verdict for f in first.findings] == [AGREES, DISAGREES]
+    assert (second.policy, second.verdict) == ('b', AGREES)
+
+
+def test_a_smoothed_curve_is_the_mean_within_its_window() -> None:
+    samples = np.array([0.0, 1, 2, 3, 10])
+    returns = np.array([4.0, 8, 0, 6, 1])
+    found = smoothed(Curve('a', samples, returns, False), window=2.0)
+    assert found.tolist() == [6, 4, 14 / 3, 3, 1]
 
 
 def test_a_value_map_is_what_the_critic_says_of_the_third_shepherd() -> None:

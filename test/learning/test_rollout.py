@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from shepherd_ros.config import ConfigError
 from shepherd_ros.learning.ppo import Learner, PPOConfig
-from shepherd_ros.learning.rollout import Rollout
+from shepherd_ros.learning.rollout import Group, Rollout, team_reward
 from shepherd_ros.learning.task import draw_environment, TaskConfig
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
@@ -91,6 +91,21 @@ def test_inputs_rewards_and_values_are_those_of_the_environment(
         gained = (total * STEPS / config.world.episode_steps * scale)[:, None].expand(mask.shape)
         error = gained[mask] + 0.5 * after - value
         torch.testing.assert_close(batch.advantage[chosen], error, atol=1e-4, rtol=1e-4)
+
+
+def test_effort_costs_each_shepherd_its_own_way() -> None:
+    policy = policy_of()
+    plain = rollout_of(policy, groups=1).groups[0]
+    paying = Group(replace(TASK, effort=0.01), 0, WORLDS, 3)
+    paying.begin(plain.left)
+    command = torch.zeros(WORLDS, TASK.shepherds_max, 2)
+    command[:, 0] = torch.tensor([0.3, 0.4])  # 0.5 m/s: below the top speed
+    command[:, 1] = torch.tensor([0.0, 400.0])  # cut to the top speed
+    top, dt = plain.config.world.shepherd_speed, plain.config.world.dt
+    lost = plain.advance(command, 3, team_reward) - paying.advance(command, 3, team_reward)
+    expected = 3 * dt * 0.01 * torch.tensor([0.5, top, 0.0]) * plain.state.shepherd_mask
+    torch.testing.assert_close(lost, expected, atol=1e-6, rtol=1e-4)
+    assert lost.max() > 0
 
 
 def test_frames_do_not_reach_over_the_start_of_an_episode() -> None:
