@@ -35,9 +35,10 @@ def test_ppo_from_scratch_holds_actions_for_shorter(
 ) -> None:
     assert train(f'ppo {NETWORK} {TINY}', tmp_path) == 0
     said = capsys.readouterr().out
-    assert 'left' in said
+    assert said.count('  0:00:00 left\n') >= 1
     assert f'the best policy is in {tmp_path / "best.safetensors"}' in said
     lines = [json.loads(x) for x in (tmp_path / 'curve.jsonl').read_text().splitlines()]
+    assert min(line['seconds_left'] for line in lines) == lines[-1]['seconds_left'] == 0
     paces = [line['repeat'] for line in lines]
     assert paces[0] == 8.0
     assert paces == sorted(paces, reverse=True)

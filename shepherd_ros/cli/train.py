@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, make_dataclass, replace
+from datetime import timedelta
 from pathlib import Path
 import shlex
 from typing import Annotated, Any
@@ -212,7 +213,7 @@ def _policy(arguments: Any) -> Policy:
 
 def show(line: dict[str, Any]) -> None:
     """Print where training is, and how well it goes."""
-    left = int(line['seconds_left'])
+    left = timedelta(seconds=int(line['seconds_left']))
     parts = [f'{line["updates"]:5d} updates', f'{line["samples"]:9,d} samples']
     watched = [name for name in ('reward', 'loss', 'kl', 'std') if name in line]
     parts += [f'{name} {line[name]:.4f}' for name in watched]
@@ -221,5 +222,5 @@ def show(line: dict[str, Any]) -> None:
         for name in ('return', 'fraction_reached', 'fraction_in_goal')
         if 'judge/' + name in line
     ]
-    parts.append(f'{left // 3600}:{left // 60 % 60:02d}:{left % 60:02d} left')
+    parts.append(f'{left} left')
     print('  '.join(parts), flush=True)

@@ -148,7 +148,7 @@ def train_ppo(
             )
         progress['seconds'] += time.monotonic() - begun
         rate = progress['samples'] / progress['seconds']
-        left = (config.samples - progress['samples']) / rate
+        left = max(config.samples - progress['samples'], 0) / rate
         line = {**progress, 'samples_per_second': rate, 'seconds_left': left, **line}
         if due:
             if rank() == 0:
