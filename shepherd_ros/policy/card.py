@@ -18,7 +18,7 @@ JUDGED = {  # what training has measured: title and unit
 }
 MADE = {'seed': 'seed', 'wall_time_s': 'wall time [s]', 'machine': 'machine', 'code': 'commit',
         'version': 'version', 'torch': 'torch', 'note': 'note'}  # fmt: skip
-LONGEST = 2000  # characters of one thing that a file says
+LONGEST = 8000  # characters of one thing that a file says
 
 
 def card(name: str, policy: Policy, record: Mapping[str, Any]) -> str:
