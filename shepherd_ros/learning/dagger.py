@@ -14,6 +14,7 @@ from typing import Any
 
 from shepherd_ros.config import Config, option, part
 from shepherd_ros.controllers import make_controller
+from shepherd_ros.controllers.base import Controller
 from shepherd_ros.controllers.policy import LearnedConfig, LearnedController
 from shepherd_ros.evaluation.methods import checkpoint_of, full_name
 from shepherd_ros.learning.clone import CloneConfig, Cloner, Examples
@@ -27,7 +28,11 @@ from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.observation import turned
 from shepherd_ros.sim.perception import perceive
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.vectors import masked_mean
+from shepherd_ros.sim.world import WorldConfig
 import torch
+from torch import Tensor
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,10 @@ class DaggerConfig(Config):
     seed: int = option(0, 'seed of weights, worlds and order', low=0)
     teacher: str = option('drover', 'controller that is imitated; a policy as policy:CHECKPOINT')
     reynolds_teacher: str = option('drover', 'the same for a Reynolds flock')
+    reynolds_home_teacher: str = option(
+        '', 'the same for one whose middle is near the goal; empty: reynolds_teacher'
+    )
+    near: float = option(8.0, 'how near the rim of the goal that is [m] (choice)', low=0.0)
     rounds: int = option(60, 'rounds of driving and learning', low=1)
     shown: int = option(6, 'first rounds, in which the teacher drives all worlds', low=0)
     steps: int = option(40, 'steps of a round', low=1)
@@ -55,8 +64,17 @@ class DaggerConfig(Config):
     def __post_init__(self) -> None:
         """Check each field and the names of the teachers."""
         super().__post_init__()
-        for name in (self.teacher, self.reynolds_teacher):
+        for name in filter(
+            None, (self.teacher, self.reynolds_teacher, self.reynolds_home_teacher)
+        ):
             full_name(name)
+
+
+def _teacher(name: str, world: WorldConfig) -> Controller:
+    """Return the controller of this name."""
+    name = full_name(name)
+    options = {'checkpoint': checkpoint_of(name)} if checkpoint_of(name) else {}
+    return make_controller(name.partition(':')[0], world, **options)
 
 
 class Lesson:
@@ -77,20 +95,32 @@ class Lesson:
         self.group.begin(steps)
         world = self.group.config.world
         reynolds = isinstance(world.flock, ReynoldsFlock)
-        name = self.config.reynolds_teacher if reynolds else self.config.teacher
-        name = full_name(name)
-        options = {'checkpoint': checkpoint_of(name)} if checkpoint_of(name) else {}
-        self.teacher = make_controller(name.partition(':')[0], world, **options)
+        config = self.config
+        self.teacher = _teacher(config.reynolds_teacher if reynolds else config.teacher, world)
+        at_home = config.reynolds_home_teacher if reynolds else ''
+        self.home_teacher = _teacher(at_home, world) if at_home else None
         self.learner = LearnedController(LearnedConfig(), world, self.policy, self.dtype)
         self.taught = self.teacher.begin(self.group.state)
+        if self.home_teacher is not None:
+            self.taught_home = self.home_teacher.begin(self.group.state)
         self.learned = self.learner.begin(self.group.state)
+
+    def _label(self, state: WorldState) -> Tensor:
+        """Return what the teacher would do, or the one for a flock that is home; (B, H, 2) m/s."""
+        label, self.taught = self.teacher.act(state, self.taught)
+        if self.home_teacher is None:
+            return label
+        at_home, self.taught_home = self.home_teacher.act(state, self.taught_home)
+        middle = masked_mean(state.sheep, state.sheep_mask)
+        away = torch.linalg.vector_norm(middle - state.goal, dim=-1) - state.goal_radius
+        return torch.where((away < self.config.near)[:, None, None], at_home, label)
 
     def run(self, steps: int, teacher_drives: bool, examples: Examples) -> None:
         """Drive on for some steps and keep examples."""
         apart = self.policy.config.decisions_apart
         for t in range(steps):
             state = self.group.state
-            label, self.taught = self.teacher.act(state, self.taught)
+            label = self._label(state)
             seen = perceive(state, self.group.config.noise_std)
             command, self.learned = self.learner.act(seen, self.learned)
             if t % self.config.every == 0:
