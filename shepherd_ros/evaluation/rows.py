@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from functools import cached_property
+import json
 from pathlib import Path
 from typing import Any
 
@@ -104,6 +106,18 @@ class Rows:
         for name, value in values.items():
             mask &= self.columns[name] == value
         return mask
+
+    def in_environment(self, environment: Mapping[str, Any]) -> np.ndarray:
+        """Return which rows are of this environment, whatever its setting was called; (rows,)."""
+        keys = [key for key, found in self._environments.items() if found == environment]
+        return np.isin(self.columns['key'], keys)
+
+    @cached_property
+    def _environments(self) -> dict[str, Any]:
+        """The configuration of the environment by key."""
+        _, first = np.unique(self.columns['key'], return_index=True)
+        few = self.table.select(['key', 'config']).take(pa.array(first)).to_pylist()
+        return {row['key']: json.loads(row['config']).get('env') for row in few}
 
     def distinct(self, name: str) -> list[Any]:
         """Return the values of a column, ascending."""

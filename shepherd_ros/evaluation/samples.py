@@ -13,7 +13,7 @@ from shepherd_ros.evaluation.bootstrap import Array
 from shepherd_ros.evaluation.experiments import Experiment, QUICK_STEPS
 from shepherd_ros.evaluation.methods import in_order
 from shepherd_ros.evaluation.rows import Rows, VALUES
-from shepherd_ros.evaluation.setting import describe, FIELDS, Setting, settled
+from shepherd_ros.evaluation.setting import describe, env_config, FIELDS, Setting, settled
 
 FLOORS = ('idle', 'random')
 
@@ -57,7 +57,8 @@ def samples_of(
     settings = list(dict.fromkeys(map(settled, experiment.settings)))
     for place, setting in enumerate(settings):
         wanted = {name: getattr(setting, name) for name in FIELDS if name != 'steps'}
-        mask = rows.where(**wanted)
+        # two settings can be the same world: a preset, and what it changes
+        mask = rows.where(**wanted) | rows.in_environment(env_config(setting).to_dict())
         for name in sorted(set(rows.columns['controller'][mask].tolist())):
             if name in FLOORS and name not in experiment.controllers:
                 continue  # rows of the table, which would clutter a figure

@@ -166,6 +166,21 @@ def test_a_controller_with_less_than_half_of_the_settings_is_left_out() -> None:
     assert sorted(samples.controllers) == ['drover', 'pierson']
 
 
+def test_rows_of_the_same_world_count_whatever_its_setting_is_called() -> None:
+    named, changed = Setting(preset='rho_a_one'), Setting(repulsion=1.0)
+    assert env_config(named) == env_config(changed)
+    rows = made_up(changed, 'pierson', completion_time=[5.0, 7.0])
+    text = json.dumps({'env': env_config(settled(changed)).to_dict()})
+    config = rows.schema.get_field_index('config')
+    rows = rows.set_column(config, rows.schema.field(config), pa.array([text] * len(rows)))
+    sweep = replace(EXPERIMENTS['starts'], settings=(named,))
+    found = samples_of(Rows(rows), sweep)
+    assert found is not None
+    assert found.values['pierson', 'completion_time'].tolist() == [[5.0, 7.0]]
+    other = replace(sweep, settings=(Setting(repulsion=1.5),))
+    assert samples_of(Rows(rows), other) is None
+
+
 def test_of_a_sweep_only_controllers_of_which_all_is_there_are_drawn() -> None:
     sweep = EXPERIMENTS['starts']
     first, *others = map(settled, sweep.settings)
