@@ -17,6 +17,7 @@ from rclpy.exceptions import InvalidTopicNameException
 from rclpy.parameter import parameter_value_to_python
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.validate_full_topic_name import validate_full_topic_name
 from shepherd_ros.bags.encode import encode_clock
 from shepherd_ros.bags.metadata import TopicInfo
 from shepherd_ros.bags.qos import Qos
@@ -79,10 +80,12 @@ class Player(ShepherdNode):
             raise ConfigError(
                 f'--topics has {", ".join(unknown)}: expected some of {", ".join(self.bag.topics)}'
             )
-        super().__init__('player', **kwargs)  # after what needs no graph
         self.names = [n for n in self.bag.topics if not options.topics or n in options.topics]
+        kinds = {name: self._kind(self.bag.topics[name]) for name in self.names}
+        super().__init__('player', **kwargs)  # after what needs no graph
         self.outputs: dict[str, Publisher] = {
-            name: self._publisher(self.bag.topics[name]) for name in self.names
+            name: self.create_publisher(kind, name, _quality(self.bag.topics[name].qos))
+            for name, kind in kinds.items()
         }
         self.latched = {n for n in self.names if _is_latched(self.bag.topics[n].qos)}
         self.clock_output = None
@@ -103,25 +106,24 @@ class Player(ShepherdNode):
         self.thread = Thread(target=self.play, daemon=True)
         self.thread.start()
 
-    def _publisher(self, topic: TopicInfo) -> Publisher:
-        """Return the publisher of a recorded topic; ConfigError if it cannot be played."""
+    def _kind(self, topic: TopicInfo) -> Any:
+        """Return the message type of a recorded topic; ConfigError if it cannot be played."""
         fix = 'choose others with --topics'
         if topic.serialization != 'cdr':
             raise ConfigError(
                 f'{self.bag.path}: {topic.name} is in {topic.serialization!r}, expected cdr; {fix}'
             )
         try:
-            kind = message_type(topic.type)
+            validate_full_topic_name('/' + topic.name.removeprefix('/'))
+            return message_type(topic.type)
+        except InvalidTopicNameException as error:
+            raise ConfigError(
+                f'{self.bag.path}: {topic.name!r} is no name of a topic in ROS 2; {fix}'
+            ) from error
         except (AttributeError, ImportError, ValueError) as error:
             raise ConfigError(
                 f'{self.bag.path}: {topic.name} has the type {topic.type!r}, which is not '
                 f'installed; install its package or {fix}'
-            ) from error
-        try:
-            return self.create_publisher(kind, topic.name, _quality(topic.qos))
-        except InvalidTopicNameException as error:
-            raise ConfigError(
-                f'{self.bag.path}: {topic.name!r} is no name of a topic in ROS 2; {fix}'
             ) from error
 
     # ---- playing ----

@@ -73,6 +73,7 @@ class Recorder(ShepherdNode):
         self.timer(TAKE_PERIOD, self.take)
         self.timer(GRAPH_PERIOD, self.intake.look)
         self.timer(FLUSH_PERIOD, self.flush)
+        self.get_logger().info(f'listening for topics that go into {self.folder}')
 
     def _heard(self, name: str) -> bool:
         """Return whether to listen to a topic."""

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import re
 from typing import Annotated, Literal
 
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.expand_topic_name import expand_topic_name
+from rclpy.validate_full_topic_name import validate_full_topic_name
 from shepherd_ros.bags.contract import known
 from shepherd_ros.config import ConfigError
 import tyro
@@ -40,11 +43,19 @@ class RecorderOptions:
     """Log times are those of /clock."""
 
     def check(self) -> None:
-        """Raise ConfigError for numbers that make no sense."""
+        """Raise ConfigError for numbers and names that make no sense."""
         if not (self.max_bag_size >= 0 and self.max_bag_duration >= 0):
             values = f'--max-bag-size is {self.max_bag_size}, -duration {self.max_bag_duration}'
             raise ConfigError(f'{values}: expected 0 (never) or more')
         _ = self.pattern('regex'), self.pattern('exclude')
+        for name in self.topics:
+            try:
+                validate_full_topic_name(expand_topic_name(name, 'recorder', '/'))
+            except (InvalidTopicNameException, ValueError):
+                raise ConfigError(
+                    f'--topics has {name!r}: expected names of topics, such as /flock/poses or '
+                    'shepherd_0/scan/sheep'
+                ) from None
 
     def pattern(self, name: str) -> re.Pattern[str] | None:
         """Return a compiled expression, None if there is none; ConfigError for a bad one."""

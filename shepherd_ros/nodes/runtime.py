@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-import gc
 import os
 import re
 import signal
@@ -145,7 +144,6 @@ def leave(nodes: Sequence[ShepherdNode], name: str, code: int) -> None:
     timer.start()
     for node in nodes:
         node.destroy_node()
-    gc.collect()  # a node that could not be made; else others see it until its lease ends
     rclpy.try_shutdown()
     timer.cancel()
 
