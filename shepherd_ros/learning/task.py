@@ -14,7 +14,11 @@ from shepherd_ros.sim.world import WorldConfig
 
 @dataclass(frozen=True)
 class TaskConfig(Config):
-    """What each episode is drawn from, evenly, and pays; the defaults are the paper's training."""
+    """
+    What each episode is drawn from and what it pays; the defaults are the paper's training.
+
+    Everything is drawn evenly, but for sheep on a logarithmic scale.
+    """
 
     preset: str = option('default', 'named setting of time step and flock')
     flock: str = option(
@@ -22,6 +26,11 @@ class TaskConfig(Config):
     )
     sheep_min: int = option(100, 'fewest sheep', low=1, high=10_000)
     sheep_max: int = option(100, 'most sheep', low=1, high=10_000)
+    sheep_scale: str = option(
+        'linear',
+        'linear: each size of a flock as often as any other; log: each doubling as often',
+        choices=('linear', 'log'),
+    )
     shepherds_min: int = option(1, 'fewest shepherds', low=1, high=100)
     shepherds_max: int = option(6, 'most shepherds', low=1, high=100)
     goal_radius_min: float = option(4.0, 'smallest goal [m]', low=0.01)
@@ -59,6 +68,10 @@ def draw_environment(task: TaskConfig, seed: int) -> EnvConfig:
     repulsion = draw.uniform(task.repulsion_min, task.repulsion_max)
     noise = draw.uniform(0.0, task.noise_max)
     at_home = draw.random() < task.home_share
+    share = draw.random()
+    if task.sheep_scale == 'log':
+        ratio = (task.sheep_max + 1) / task.sheep_min
+        sheep = min(int(task.sheep_min * ratio**share), task.sheep_max)
     base = base_world(task, flock if task.flock == 'both' else task.flock)
     base = home_world(base) if at_home else base
     flock_config = base.flock

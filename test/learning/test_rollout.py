@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 import pytest
@@ -175,6 +176,20 @@ def test_a_share_of_the_episodes_starts_at_home_and_nothing_else_changes() -> No
         plain = draw_environment(usual, seed)
         world = home_world(plain.world) if home[seed] else plain.world
         assert env == replace(plain, world=world)
+
+
+def test_on_a_logarithmic_scale_each_doubling_of_a_flock_is_as_frequent() -> None:
+    even = TaskConfig(sheep_min=10, sheep_max=319, noise_max=1.0)
+    task, count = replace(even, sheep_scale='log'), Counter[int]()
+    for seed in range(2000):
+        env, plain = draw_environment(task, seed), draw_environment(even, seed)
+        sheep = env.world.n_sheep
+        count[next(k for k in range(5) if sheep < 20 << k)] += 1
+        assert env == replace(plain, world=replace(plain.world, n_sheep=sheep))
+    assert sorted(count) == [0, 1, 2, 3, 4]  # 10 to 19, 20 to 39, ... 160 to 319
+    assert all(abs(n - 400) < 4 * 18 for n in count.values())  # of a standard deviation of 18
+    alone = TaskConfig(sheep_scale='log', sheep_min=7, sheep_max=7)
+    assert {draw_environment(alone, seed).world.n_sheep for seed in range(50)} == {7}
 
 
 def test_a_task_whose_limits_are_the_wrong_way_round_is_refused() -> None:
