@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
+import math
 
 from shepherd_ros.controllers.policy import LearnedConfig, LearnedController
 from shepherd_ros.evaluation.runner import run_episodes
@@ -23,6 +25,14 @@ COLUMNS = (
 )
 
 
+def judged_sizes(task: TaskConfig) -> list[int]:
+    """Return flock sizes to judge with: a middling one; where doublings count, also the ends."""
+    low, high = task.sheep_min, task.sheep_max
+    if task.sheep_scale == 'linear':
+        return [(low + high) // 2]
+    return sorted({low, round(math.sqrt(low * high)), high})
+
+
 def judge(
     policy: Policy, task: TaskConfig, episodes: int, steps: int, dtype: torch.dtype
 ) -> dict[str, float]:
@@ -32,17 +42,18 @@ def judge(
     `score` is what checkpoints are chosen by: the return, and the fraction in the goal at the end.
     """
     flocks = ('strombom', 'reynolds') if task.flock == 'both' else (task.flock,)
+    sizes = judged_sizes(task)
+    count = max(episodes // (len(flocks) * len(sizes)), 1)
     results = []
-    for flock in flocks:
+    for flock, sheep in product(flocks, sizes):
         world = base_world(task, flock)
         world = replace(
             world,
-            n_sheep=(task.sheep_min + task.sheep_max) // 2,
+            n_sheep=sheep,
             episode_steps=steps,
             spawn=replace(world.spawn, goal_radius_extra=0.0),
         )
         controller = LearnedController(LearnedConfig(), world, policy, dtype)
-        count = episodes // len(flocks)
         config, device = EnvConfig(world=world), str(policy.device)
         results.append(run_episodes(config, controller, FIRST_SEED, count, device=device))
     means = {
