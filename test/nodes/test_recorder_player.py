@@ -88,6 +88,23 @@ def until_recorded(graph: Graph, recorder: Process, *topics: str) -> None:
         graph.until_says(recorder, f'recording {topic} ')
 
 
+def counts(graph: Graph) -> dict[str, str]:
+    """Return what the recorder last said of itself on /diagnostics."""
+    status = graph.status('recorder: recorder')
+    return {value.key: value.value for value in status.values} if status else {}
+
+
+def until_taken(graph: Graph, more_than: int) -> int:
+    """Spin until the recorder has more messages than that and gets no more; return how many."""
+
+    def quiet() -> int:
+        said = counts(graph)
+        now = int(said.get('messages', '0'))
+        return now if now > more_than and said['rate'] == '0.0' else 0
+
+    return graph.until(quiet, f'a recorder that is done with more than {more_than} messages')
+
+
 def run_stack(graph: Graph, folder: Path, *words: str) -> Process:
     """Record two episodes from the first state on; return the recorder that was stopped."""
     recorder = start_recorder(graph, folder, '-x', '/diagnostics', *words)
@@ -279,7 +296,7 @@ def test_topics_are_selected_and_packed_and_split(room: Graph, tmp_path: Path) -
 def test_every_topic_is_recorded_with_its_type(room: Graph, tmp_path: Path) -> None:
     recorder = start_recorder(room, tmp_path / 'bag', '--all')
     until_recorded(room, recorder, '/rosout', '/diagnostics')
-    room.idle(1.2)
+    room.until_status('recorder: recorder', 'recording')
     assert recorder.stop() == 0, recorder
     bag = open_bag(tmp_path / 'bag')
     assert bag.topics['/rosout'].type == 'rcl_interfaces/msg/Log'
@@ -328,12 +345,12 @@ def test_a_topic_gets_a_second_publisher_that_offers_less(room: Graph, tmp_path:
     first = room.publisher('/n', Float64)
     until_recorded(room, recorder, '/n')
     first.publish(Float64(data=1.0))
-    room.idle(0.2)
+    assert until_taken(room, 0) == 1
     second = room.publisher('/n', Float64, BEST_EFFORT)
     room.until(lambda: first.get_subscription_count(), 'the recorder')
-    for output in (first, second):
+    for number, output in enumerate((first, second), start=1):
         output.publish(Float64(data=2.0))
-        room.idle(0.2)
+        assert until_taken(room, number) == number + 1
     assert recorder.stop() == 0, recorder
     for output in (first, second):
         room.node.destroy_publisher(output)
@@ -353,7 +370,7 @@ def test_two_types_on_one_topic_are_refused(room: Graph, tmp_path: Path) -> None
     room.until_says(recorder, what)
     other.close()
     first.publish(Float64(data=1.0))
-    room.idle(0.2)
+    first.wait_for_all_acked()
     assert recorder.stop() == 1, recorder
     room.node.destroy_publisher(first)
     assert f'failed: {what}' in recorder.text
@@ -386,7 +403,7 @@ def test_stop_and_start(room: Graph, tmp_path: Path) -> None:
 
     def send(value: float) -> None:
         output.publish(Float64(data=value))
-        room.idle(0.2)
+        output.wait_for_all_acked()
 
     send(1.0)
     assert ask(room, '/recorder/start') == (True, 'recording')
@@ -602,14 +619,14 @@ def test_a_recorder_that_is_held_up_tells_what_it_lost(room: Graph, tmp_path: Pa
     until_recorded(room, recorder, '/flood')
     row = cdr(make('String', data='x' * 500))
     output.publish(row)
-    room.idle(0.3)
+    first = until_taken(room, 0)
     recorder.send(SIGSTOP)
     for _ in range(12_000):
         output.publish(row)
     recorder.send(SIGCONT)
-    room.idle(0.5)
+    kept = until_taken(room, first)
     output.publish(row)  # only a later message shows that others are missing
-    room.idle(0.3)
+    assert until_taken(room, kept) == kept + 1
     assert recorder.stop() == 1, recorder
     room.node.destroy_publisher(output)
     assert 'the bag is NOT whole' in recorder.text
@@ -642,20 +659,21 @@ def test_four_thousand_scans_per_second_are_there_or_told_as_lost(
     recorder = start_recorder(room, tmp_path / 'bag', '--topics', '/scan')
     output = room.publisher('/scan', LaserScan, qos)
     rows = [scan_of(k, np.full(512, k, np.float32)) for k in range(4000)]
-    flood(room, output, rows, 4000.0)
-    output.wait_for_all_acked()
-    room.idle(0.2)
+    flood(room, output, rows[:-1], 4000.0)
+    kept = until_taken(room, 0)
+    output.publish(rows[-1])  # only a later message shows that others are missing
+    assert until_taken(room, kept) == kept + 1
     code = recorder.stop()
     room.node.destroy_publisher(output)
     bag = open_bag(tmp_path / 'bag')
     lost = json.loads(bag.custom_data[LOST_KEY])
     assert code == bool(lost), recorder
     assert lost == ({'/scan': len(rows) - bag.count} if lost else {})
-    kept = [message.data for message in bag.messages()]
-    assert set(kept) <= set(rows)
-    assert kept == sorted(kept, key=rows.index)
+    written = [message.data for message in bag.messages()]
+    assert set(written) <= set(rows)
+    assert written == sorted(written, key=rows.index)
     if qos is RELIABLE:
-        assert kept == rows, recorder
+        assert written == rows, recorder
 
 
 def test_what_is_lost_is_told_everywhere(room: Graph, tmp_path: Path) -> None:
@@ -669,23 +687,16 @@ def test_what_is_lost_is_told_everywhere(room: Graph, tmp_path: Path) -> None:
         for _ in range(count):
             for output in outputs:
                 output.publish(row)
-        room.idle(0.3)
 
     send(3)
+    assert until_taken(room, 0) == 6
     recorder.send(SIGSTOP)
     send(8000)
     recorder.send(SIGCONT)
-    room.idle(0.5)
-    send(3)
-    values: dict[str, str] = {}
-
-    def all_taken() -> bool:
-        status = room.status('recorder: recorder')
-        if status is not None:
-            values.update({value.key: value.value for value in status.values})
-        return values.get('lost', '0') != '0' and values['rate'] == '0.0'
-
-    room.until(all_taken, 'losses on /diagnostics')
+    kept = until_taken(room, 6)
+    send(3)  # only later messages show that others are missing
+    assert until_taken(room, kept) == kept + 6
+    values = counts(room)
     status = room.until_status('recorder: recorder', f'{values["lost"]} messages were lost')
     assert recorder.stop() == 1, recorder
     for output in outputs:
