@@ -141,7 +141,7 @@ class Evaluate:
             if samples is not None:
                 path = self.out / f'{experiment.name}.md'
                 path.write_text(markdown(samples), encoding='utf-8')
-                print(path)
+                print(path, *samples.notes, sep='\n')
 
 
 def _with_values(

@@ -56,6 +56,7 @@ class Figures:
             found = samples_of(rows, chosen, least=2, whole=beyond)
             if found is not None:
                 samples[experiment.name] = found
+                print(*found.notes, sep='\n', end='\n' if found.notes else '')
         if not samples:
             raise UserError('the rows are of no experiment: expected those of shepherd evaluate')
         known = [name for name in rows.distinct('controller') if name.startswith('policy:')]

@@ -142,14 +142,14 @@ def draw_cases(samples: Samples) -> Figure:
 
 
 def draw_maps(samples: Samples) -> Figure:
-    """Return means over two axes, a map for each controller and metric; darker is more."""
+    """Return means over two axes, a line of maps for each controller; darker is more."""
     down, across = samples.experiment.axes
     rows = list(dict.fromkeys(samples.axis(down)))
     columns = list(dict.fromkeys(samples.axis(across)))
     metrics, names = samples.experiment.panels, samples.controllers
-    width, height = max(1.5 + 0.4 * len(columns), 3.2), 1.1 + 0.28 * len(rows)
-    figure, panels = new_figure(len(metrics), len(names), width, height)
-    for metric, line in zip(metrics, panels, strict=True):
+    width, height = max(1.5 + 0.4 * len(columns), 3.2), 1.1 + 0.2 * len(rows)
+    figure, panels = new_figure(len(names), len(metrics), width, height)
+    for metric, line in zip(metrics, panels.T, strict=True):
         means = {name: samples.values[name, metric].mean(axis=-1) for name in names}
         top = 1.0 if METRICS[metric][0] == '1' else max(np.nanmax(m) for m in means.values())
         for name, axes in zip(names, line, strict=True):
@@ -158,10 +158,11 @@ def draw_maps(samples: Samples) -> Figure:
                 setting = samples.settings[place]
                 row = rows.index(getattr(setting, down))
                 grid[row, columns.index(getattr(setting, across))] = value
-            axes.imshow(grid, cmap='Greys', vmin=0, vmax=1.4 * top, aspect='auto', origin='lower')
+            axes.imshow(grid, cmap='Greys', vmin=0, vmax=1.2 * top, aspect='auto', origin='lower')
             for (i, j), value in np.ndenumerate(grid):
                 text = '' if np.isnan(value) else f'{value:.2f}' if top <= 1 else f'{value:.0f}'
-                axes.text(j, i, text, ha='center', va='center', fontsize=7, color='black')
+                color = 'white' if value > 0.6 * top else 'black'
+                axes.text(j, i, text, ha='center', va='center', fontsize=7, color=color)
             tidy(axes, AXES[across], AXES[down], f'{label(name)}\n{PANELS[metric]}')
             axes.title.set_fontsize(7)
             axes.grid(visible=False)

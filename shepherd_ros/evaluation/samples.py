@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -27,6 +26,7 @@ class Samples:
     seeds: tuple[int, ...]  # that all cells have, E of them
     steps: int
     values: dict[tuple[str, str], Array] = field(repr=False)  # controller, metric -> (P, E)
+    left_out: tuple[str, ...] = ()  # controllers of which too little is there
 
     @property
     def controllers(self) -> list[str]:
@@ -37,6 +37,12 @@ class Samples:
     def policies(self) -> list[str]:
         """Return the learned ones among those who drove."""
         return [name for name in self.controllers if name.startswith('policy:')]
+
+    @property
+    def notes(self) -> list[str]:
+        """Return a line for each controller of which too little is there."""
+        text = f'{self.experiment.name} is without {{}}: too few of its episodes are there'
+        return [text.format(name) for name in self.left_out]
 
     def axis(self, name: str) -> list[Any]:
         """Return the values of a field of the settings, or what `case` each one is."""
@@ -50,8 +56,8 @@ def samples_of(
     Return the episodes of an experiment, or raise ConfigError if they do not fit together.
 
     None: rows of fewer than `least` of its settings. A controller that lacks a setting has NaN
-    there; one that has less than half of what another has, or lacks any if only what is whole is
-    wanted, is left out.
+    there; one that has less than half of the episodes that another has (as many from each of its
+    cells), or lacks any if only what is whole is wanted, is left out, and named.
     """
     cells: dict[tuple[str, int], np.ndarray] = {}  # controller, setting -> indices of rows
     settings = list(dict.fromkeys(map(settled, experiment.settings)))
@@ -63,7 +69,10 @@ def samples_of(
             if name in FLOORS and name not in experiment.controllers:
                 continue  # rows of the table, which would clutter a figure
             cells[name, place] = np.flatnonzero(mask & rows.where(controller=name))
-    count = Counter(name for name, _ in cells)
+    sizes: dict[str, list[int]] = {}  # controller -> episodes in each of its cells
+    for (name, _), index in cells.items():
+        sizes.setdefault(name, []).append(len(index))
+    count = {name: len(episodes) * min(episodes) for name, episodes in sizes.items()}
     most = max(count.values(), default=0)
     cells = {key: index for key, index in cells.items() if 2 * count[key[0]] >= most}
     if whole:
@@ -87,7 +96,9 @@ def samples_of(
         chosen = chosen[np.argsort(rows.columns['seed'][chosen])]
         for metric in VALUES:
             values[name, metric][present.index(place)] = rows.columns[metric][chosen]
-    return Samples(experiment, tuple(settings[p] for p in present), tuple(seeds), steps, values)
+    out = tuple(in_order(list(count.keys() - {name for name, _ in cells})))
+    there = tuple(settings[p] for p in present)
+    return Samples(experiment, there, tuple(seeds), steps, values, out)
 
 
 def _of_whole(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 import json
@@ -152,18 +153,23 @@ def test_an_episode_that_is_there_twice_counts_once_and_cells_share_their_seeds(
     assert samples.values['pierson', 'completion_time'].tolist() == [[1, 2], [5, 6]]
 
 
-def test_a_controller_with_less_than_half_of_the_settings_is_left_out() -> None:
-    def cells(who: str, sheep: range) -> list[pa.Table]:
-        return [made_up(Setting(sheep=n), who, completion_time=[1.0, 2.0]) for n in sheep]
+def test_a_controller_with_less_than_half_of_the_episodes_is_left_out() -> None:
+    def cells(who: str, sheep: range, times: Sequence[float] = (1.0, 2.0, 3.0)) -> list[pa.Table]:
+        return [made_up(Setting(sheep=n), who, completion_time=list(times)) for n in sheep]
 
     tables = [
         *cells('pierson', range(10, 101, 10)),
         *cells('drover', range(10, 51, 10)),
         *cells('strombom', range(10, 41, 10)),
+        *cells('policy:strombom', range(10, 101, 10), times=(1.0,)),  # all settings, a third
     ]
     samples = samples_of(Rows(pa.concat_tables(tables)), EXPERIMENTS['fig4'])
     assert samples is not None
     assert sorted(samples.controllers) == ['drover', 'pierson']
+    assert sorted(samples.left_out) == ['policy:strombom', 'strombom']
+    assert samples.seeds == (0, 1, 2)
+    assert len(samples.notes) == 2
+    assert 'fig4 is without policy:strombom' in samples.notes[0]
 
 
 def test_rows_of_the_same_world_count_whatever_its_setting_is_called() -> None:
