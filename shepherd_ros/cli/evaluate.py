@@ -61,7 +61,7 @@ class Evaluate:
 
     def run(self) -> int:
         """Run what is missing; return the exit code."""
-        from shepherd_ros.evaluation.campaign import is_done, plan, run_tasks, shard_of
+        from shepherd_ros.evaluation.campaign import codes_of, is_done, plan, run_tasks, shard_of
         from shepherd_ros.evaluation.cells import Cell
         from shepherd_ros.evaluation.experiments import experiments
         from shepherd_ros.ranks import rank, ranks, wait_for_all
@@ -79,7 +79,8 @@ class Evaluate:
             self.out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise UserError(f'--out is {self.out}: expected a folder ({error.strerror})') from None
-        missing = [task for task in mine if not is_done(self.out, task)]
+        there = {task for task in mine if is_done(self.out, task)}
+        missing = [task for task in mine if task not in there]
         columns = Progress.get_default_columns()[:3]
         ended: list[Cell] = []
         columns = (*columns, TimeElapsedColumn(), TimeRemainingColumn())
@@ -91,13 +92,20 @@ class Evaluate:
                 f'{len(mine) - len(missing)} of them done; about {total / 60:.0f} minutes of one '
                 'core are left'
             )
+            code = commit()
+            others = [name for name in codes_of(self.out, there) if name != code]
+            if others:
+                print(
+                    f'done by other code: {", ".join(name or "unknown" for name in others)}; this '
+                    f'is {code or "unknown"}, give another --out to measure with it'
+                )
 
             def done(cell: Cell) -> None:
                 ended.append(cell)
                 text = f'{len(ended)} of {len(missing)} cells'
                 progress.update(left, advance=cell.cost(), description=text)
 
-            run_tasks(self.out, missing, self.workers, commit(), done)
+            run_tasks(self.out, missing, self.workers, code, done)
         wait_for_all()
         if rank() == 0 and all(is_done(self.out, task) for task in tasks.values()):
             self.write_tables(chosen)

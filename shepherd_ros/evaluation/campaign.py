@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass, replace
 from multiprocessing import get_context, parent_process
@@ -13,6 +13,7 @@ from threading import Thread
 from shepherd_ros.config import ConfigError
 from shepherd_ros.evaluation.cells import Cell, cell_file, key_of, run_into, TOGETHER
 from shepherd_ros.evaluation.methods import checkpoint_hash, full_name
+from shepherd_ros.evaluation.rows import read_table
 from shepherd_ros.evaluation.setting import Setting, settled
 from shepherd_ros.memory import keep_memory
 import torch
@@ -52,6 +53,12 @@ def plan(
 def is_done(folder: Path, task: Task) -> bool:
     """Return whether the rows of a cell are there."""
     return cell_file(folder, task.cell, task.key).exists()
+
+
+def codes_of(folder: Path, tasks: Iterable[Task]) -> list[str]:
+    """Return the commits that made the rows of done cells, ascending."""
+    tables = (read_table(cell_file(folder, task.cell, task.key)) for task in tasks)
+    return sorted({code for table in tables for code in table.column('code').to_pylist()})
 
 
 def shard_of(tasks: Sequence[Task], shard: str) -> list[Task]:

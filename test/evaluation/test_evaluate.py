@@ -10,6 +10,7 @@ import sys
 
 import pytest
 from shepherd_ros import __version__
+from shepherd_ros.cli import evaluate as cli_evaluate
 from shepherd_ros.cli import main
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.evaluation import campaign
@@ -201,6 +202,21 @@ def test_the_verb_writes_rows_and_a_table_and_does_nothing_twice(
     assert main(words) == 0
     assert '4 of them done' in capsys.readouterr().out
     assert {path: path.stat().st_mtime_ns for path in out.rglob('*.parquet')} == written
+
+
+def test_rows_of_other_code_are_kept_and_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ['evaluate', 'table', '--shepherds', '1', '2', *WORDS, '--out', str(tmp_path)]
+    monkeypatch.setattr(cli_evaluate, 'commit', lambda: 'older')
+    assert main([*words, '--controllers', 'idle']) == 0
+    assert main([*words, '--controllers', 'idle']) == 0
+    assert 'other code' not in capsys.readouterr().out
+    monkeypatch.setattr(cli_evaluate, 'commit', lambda: 'newer')
+    assert main([*words, '--controllers', 'idle', 'random']) == 0
+    said = ' '.join(capsys.readouterr().out.split())
+    assert 'done by other code: older; this is newer, give another --out' in said
+    assert read_rows([tmp_path]).distinct('code') == ['newer', 'older']
 
 
 def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_rows(
