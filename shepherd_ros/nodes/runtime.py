@@ -25,6 +25,7 @@ from shepherd_ros.nodes.parameters import warn_of_unknown
 
 USER_MISTAKE = 2
 LOOK = 0.1  # [s] after which a signal is seen at the latest
+STOPS = (signal.SIGINT, signal.SIGTERM)
 LET_GO = 10.0  # [s] that DDS has to let go when all work is done
 
 
@@ -94,7 +95,7 @@ def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None)
     """
     # rclpy's own handlers would end the context in the midst of a callback that publishes
     came: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in STOPS:
         signal.signal(number, lambda number, frame: came.append(number))
     nodes: list[ShepherdNode] = []
     code = USER_MISTAKE
@@ -129,6 +130,8 @@ def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None)
         print(f'{name}: {mistake}', file=sys.stderr)
     finally:
         leave(nodes, name, code)
+        for number in STOPS:  # the end of Python gives handlers up; a second signal would kill
+            signal.signal(number, signal.SIG_IGN)
     return code
 
 

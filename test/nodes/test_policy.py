@@ -65,10 +65,10 @@ def test_fifty_steps_over_topics_are_fifty_calls_of_env_step(
     moved = (states[20].shepherds - states[0].shepherds).norm(dim=-1)
     assert moved.min() > 1.0
     track = graph.track()
+    graph.start('flock_sim', episode_steps=STEPS, episodes=2)
+    graph.until(lambda: track.stamps, 'the first state')
     graph.start('lidar', shepherd_ids=[0, 1, 2])
     graph.start('policy', shepherd_ids=[0, 1, 2], checkpoint=checkpoint, sample=sample)
-    graph.until_nodes('lidar', 'policy')
-    graph.start('flock_sim', episode_steps=STEPS, episodes=2)
     graph.until(lambda: len(track.stamps) >= len(states), f'{len(states)} states')
     assert_same_states(track, states)
 

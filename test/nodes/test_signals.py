@@ -108,6 +108,24 @@ def test_a_freshly_started_python_ends_with_zero_on_two_signals(
         assert_clean_end(process)
 
 
+def test_a_signal_that_comes_as_the_interpreter_ends_does_not_change_the_exit_code() -> None:
+    code = (
+        'import os, sys\n'
+        'from shepherd_ros.nodes.runtime import run, STOPS\n'
+        'class Last:\n'
+        '    def __del__(self, kill=os.kill, me=os.getpid(), stops=STOPS):\n'
+        '        for number in stops: kill(me, number)\n'
+        '        os.write(1, b"sent")\n'
+        'last = Last()\n'
+        "sys.argv = ['idle', 'now']\n"
+        "sys.exit(run(None, 'idle', ''))\n"
+    )
+    child = subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True, timeout=50
+    )
+    assert (child.returncode, child.stdout) == (2, 'sent'), child.stderr
+
+
 def test_a_signal_ends_a_node_whose_partner_is_stopped(graph: Graph) -> None:
     sim = graph.start('flock_sim', n_sheep=20, silence_warning=0.2)
     graph.start('strombom', shepherd_ids=[0])
