@@ -196,7 +196,11 @@ def test_a_reset_puts_the_goal_back_to_where_episodes_have_it(graph: Graph, sim:
 def run_with_a_moving_goal(
     track: Track, goals: list[PoseStamped], controller: str, world: WorldConfig
 ) -> list[Any]:
-    """Return the states of the core when goals move at the stamps at which they were told."""
+    """
+    Return the states of the core when goals move at the stamps at which they were told.
+
+    Shepherd 1 stands still.
+    """
     moves = {nanoseconds(m.header.stamp): m.pose.position for m in goals}
     state = spawn(world, torch.tensor(0))
     law = make_controller(controller, world)
@@ -207,6 +211,7 @@ def run_with_a_moving_goal(
             state = replace(state, goal=torch.tensor([moves[ns].x, moves[ns].y]))
         states.append(state)
         command, memory = law.act(state, memory)
+        command[1] = 0.0
         state = step(state, command, world)
     return states
 
@@ -218,13 +223,17 @@ def test_a_controller_sees_a_moved_goal_from_the_very_state_with_which_it_was_to
     track = graph.track()
     goals = graph.collect('goal', PoseStamped, LATCHED)
     graph.start('flock_sim', n_sheep=10, n_shepherds=2, episode_steps=400, episodes=1)
+    graph.host('idle', shepherd_ids=[1])  # the world does not run away from the probe
     publisher = graph.publisher('goal_pose', PoseStamped)
     graph.until(lambda: track.stamps and goals, 'the first state and goal')
     graph.until(publisher.get_subscription_count, 'a reader of goal_pose')
-    graph.start(controller)
+    graph.start(controller, shepherd_ids=[0])
     for k in range(4):
         graph.until(lambda k=k: len(track.stamps) > 10 * k + 2, 'some steps')
-        publisher.publish(pose_of(5.0 * k, -8.0))
+        x = 5.0 * (k + 1)
+        publisher.publish(pose_of(x, -8.0))
+        # two goals between two states would be one, the later
+        graph.until(lambda x=x: goals[-1].pose.position.x == x, f'goal at {x} m')
     graph.until(lambda: len(track.stamps) == 401, 'the whole episode')
     # the first may be told again while the controller starts
     assert len({(goal.pose.position.x, goal.pose.position.y) for goal in goals}) == 5
