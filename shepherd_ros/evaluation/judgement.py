@@ -133,7 +133,7 @@ def judge_values(policies: Sequence[str]) -> list[Judgement]:
     areas = 'The areas of high value are large for the Strömbom flock, small for Reynolds'
     nan = math.nan
     found: list[Judgement] = []
-    shares: dict[str, tuple[str, Array]] = {}
+    shares: dict[str, dict[str, Array]] = {'strombom': {}, 'reynolds': {}}  # by flock and policy
     for policy in policies:
         maps = [value_map(loaded(checkpoint_of(policy)), seed) for seed in range(MAPS)]
         value, low, high = map(float, mean_interval(np.array([m.behind for m in maps])))
@@ -143,7 +143,7 @@ def judge_values(policies: Sequence[str]) -> list[Judgement]:
         finding = Finding(clause, value, low, high, verdict(low, high, BEHIND, math.inf))
         found.append(_single('fig9', behind, policy, finding))
         for flock in trained_on(policy):
-            shares.setdefault(flock, (policy, np.array([m.high_share for m in maps])))
+            shares[flock][policy] = np.array([m.high_share for m in maps])
     if not found:
         reason = 'no checkpoint with a trained critic'
         missing = Finding(_plain('critic'), nan, nan, nan, UNDECIDED, reason)
@@ -151,12 +151,17 @@ def judge_values(policies: Sequence[str]) -> list[Judgement]:
     clause = Clause(
         'share of the plane with high values, Strömbom over Reynolds', _plain('').quantity, 1.0
     )
-    if {'strombom', 'reynolds'} <= set(shares):
-        (left, ours), (right, theirs) = shares['strombom'], shares['reynolds']
-        value, low, high = map(float, mean_interval(ours / theirs))
+    pairs = [
+        (left, right, ours / theirs)
+        for left, ours in shares['strombom'].items()
+        for right, theirs in shares['reynolds'].items()
+    ]
+    for left, right, ratios in pairs:
+        value, low, high = map(float, mean_interval(ratios))
         finding = Finding(clause, value, low, high, verdict(low, high, 1.0, math.inf))
-        names = f'{label(left)} and {label(right)}'
-        return [*found, _single('fig9', areas, names, finding)]
+        found.append(_single('fig9', areas, f'{label(left)} and {label(right)}', finding))
+    if pairs:
+        return found
     reason = 'needs critics trained with both flocks'
     missing = Finding(clause, nan, nan, nan, UNDECIDED, reason)
     return [*found, _single('fig9', areas, 'none', missing)]

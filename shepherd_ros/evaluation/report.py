@@ -14,6 +14,7 @@ from shepherd_ros.evaluation.claims import (
     DISAGREES,
     Finding,
     NEAR,
+    together,
     UNDECIDED,
 )
 from shepherd_ros.evaluation.judgement import Judgement
@@ -49,12 +50,12 @@ the last bit, seed for seed, for both heuristics and for a policy: `test/nodes/t
 small worlds.
 
 **RL** is a policy of this project, not the authors': the table below says how each was
-trained. Only one that PPO trained with the flock model of the figure, as in the paper, counts in
-the summary; what the statements come to with other policies in its place is folded up below
-each figure. Paths are counted
-over the whole episode, as the paper defines them; the last column counts them until the flock
-is home. The paper leaves the time step, the range of repulsion and parts of the baselines
-open; these rows use preset
+trained. Only those that PPO trained with the flock model of the figure, as in the paper, count in
+the summary: a statement agrees if it does with each of them, and disagrees if it does with one.
+What the statements come to with other policies in their place is folded up below each figure.
+Paths are counted over the whole episode, as the paper defines them; the last column counts them
+until the flock is home. The paper leaves the time step, the range of repulsion and parts of the
+baselines open; these rows use preset
 """
 
 
@@ -136,11 +137,15 @@ def policies(names: Sequence[str]) -> list[str]:
 
 
 def summary(judgements: Sequence[Judgement]) -> list[str]:
-    """Return how many statements have which verdict, by figure."""
+    """Return how many statements have which verdict, by figure; with all policies that count."""
     lines = [f'| | {" | ".join(VERDICTS)} |', '|---|--:|--:|--:|']
     total: Counter[str] = Counter()
     for name, title in TITLES.items():
-        counts = Counter(j.verdict for j in judgements if j.experiment == name and j.counts)
+        found: dict[str, list[str]] = {}  # statement -> verdicts, one for each policy
+        for judgement in judgements:
+            if judgement.experiment == name and judgement.counts:
+                found.setdefault(judgement.statement, []).append(judgement.verdict)
+        counts = Counter(map(together, found.values()))
         total += counts
         if counts:
             cells = ' | '.join(str(counts[v]) for v in VERDICTS)

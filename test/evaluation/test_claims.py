@@ -16,11 +16,13 @@ from pyarrow import parquet
 import pytest
 from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
+from shepherd_ros.evaluation import judgement
 from shepherd_ros.evaluation.bootstrap import drawn_again, mean_interval
 from shepherd_ros.evaluation.claims import (
     AGREES,
     Clause,
     DISAGREES,
+    Finding,
     judge,
     Sweep,
     together,
@@ -35,9 +37,11 @@ from shepherd_ros.evaluation.judgement import (
     judge_curves,
     judge_samples,
     judge_values,
+    Judgement,
     trained_on,
 )
 from shepherd_ros.evaluation.quantities import below, change, ratio, slope
+from shepherd_ros.evaluation.report import summary
 from shepherd_ros.evaluation.rows import read_rows, Rows, SCHEMA, table_of, VALUES, write_rows
 from shepherd_ros.evaluation.samples import Samples, samples_of
 from shepherd_ros.evaluation.setting import env_config, Setting, settled
@@ -344,6 +348,7 @@ def test_only_a_policy_trained_as_the_papers_counts() -> None:
 @pytest.mark.parametrize(
     ('name', 'flocks', 'critic'),
     [('imitation', {'strombom'}, False), ('strombom', {'strombom'}, True),
+     ('paper_network', {'strombom'}, True),
      ('reynolds', {'reynolds'}, True), ('general', {'strombom', 'reynolds'}, False)],
 )  # fmt: skip
 def test_what_a_shipped_policy_was_trained_on(name: str, flocks: set[str], critic: bool) -> None:
@@ -435,6 +440,32 @@ def test_a_value_map_is_what_the_critic_says_of_the_third_shepherd() -> None:
     assert best.behind > 0.9
     assert best.high_share == 1 / 41**2
     assert {j.verdict for j in judge_values([])} == {UNDECIDED}
+
+
+def test_areas_are_compared_for_every_pair_of_critics(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(judgement, 'MAPS', 2)
+    judged = judge_values(['policy:strombom', 'policy:paper_network', 'policy:reynolds'])
+    by_statement = [j.policy for j in judged if j.statement.startswith('The areas')]
+    assert len(judged) == 3 + 2
+    assert len(by_statement) == 2
+    assert all(who.endswith('and policy reynolds (ours)') for who in by_statement)
+
+
+def test_the_summary_counts_a_statement_once_and_as_the_worst_of_its_policies() -> None:
+    def judged(statement: str, policy: str, low: float, counts: bool = True) -> Judgement:
+        clause = Clause('x', slope('pierson', 'completion_time'), 0.0, 1.0)
+        finding = Finding(clause, low, low, low + 0.2, verdict(low, low + 0.2, 0.0, 1.0))
+        return Judgement('fig4', statement, policy, (finding,), (None,), counts)
+
+    inside, outside, across = 0.5, 2.0, 0.9
+    lines = summary([
+        judged('one', 'policy:a', inside), judged('one', 'policy:b', outside),
+        judged('two', 'policy:a', inside), judged('two', 'policy:b', inside),
+        judged('three', 'policy:a', inside), judged('three', 'policy:b', across),
+        judged('four', '', inside), judged('four', 'policy:c', outside, counts=False),
+    ])  # fmt: skip
+    assert lines[-1] == '| **all** | **2** | **1** | **1** |'
+    assert lines[-2] == '| Figure 4: size of the flock | 2 | 1 | 1 |'
 
 
 # ---- files ----
