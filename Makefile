@@ -62,7 +62,8 @@ train: setup
 # What the paper shows, with intervals and a verdict on each of its statements, in docs/results/.
 # An interrupted run goes on where it was. QUICK=1: a few short episodes, in out/quick/.
 WORKERS ?= 2
-POLICIES ?= policy:strombom policy:reynolds policy:imitation policy:general
+POLICIES ?= policy:strombom policy:paper_network policy:reynolds policy:imitation \
+  policy:general
 CURVES ?= docs/curves
 ifdef QUICK
 ROWS := out/quick/rows
