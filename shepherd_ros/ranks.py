@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 from collections.abc import Iterable
 from datetime import timedelta
 import os
@@ -63,6 +64,12 @@ def _reduced(numbers: list[float], how: str) -> Any:
     return values
 
 
+def _leave_group(distributed: Any) -> None:
+    """End the threads of the group while Python runs; as it ends they may abort the process."""
+    if distributed.is_initialized():
+        distributed.destroy_process_group()
+
+
 def _distributed() -> Any:
     """Return torch.distributed with all processes in a group, which is made the first time."""
     from torch import cuda, distributed
@@ -70,4 +77,6 @@ def _distributed() -> Any:
     if not distributed.is_initialized():
         kinds = 'cpu:gloo,cuda:nccl' if cuda.is_available() else 'gloo'
         distributed.init_process_group(kinds, timeout=LONG)
+        if kinds == 'gloo':  # that of NCCL waits for others, who may have failed
+            atexit.register(_leave_group, distributed)
     return distributed
