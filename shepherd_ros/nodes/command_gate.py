@@ -67,6 +67,7 @@ class CommandGate:
         """Make ready for the team of an episode."""
         self.lockstep = episode.mode == 'lockstep'
         self.commands = CommandBuffer(episode.n_shepherds)
+        self.named = []
         kind = '' if self.stamped else 'geometry_msgs/msg/Twist'
         while len(self.inputs) > episode.n_shepherds:
             self.node.destroy_subscription(self.inputs.pop())
@@ -87,13 +88,11 @@ class CommandGate:
 
     def expect(self, now_ns: int, dt_ns: int) -> None:
         """Begin to wait for answers to a new state."""
+        self._forgive()
         self.now_ns, self.dt_ns = now_ns, dt_ns
         self.commands.expect()
         self.scanned.clear()
         self.since = self.node.wall()
-        if self.named:
-            self.node.get_logger().info(f'{", ".join(self.named)}: answering again')
-            self.named = []
 
     @property
     def complete(self) -> bool:
@@ -167,8 +166,11 @@ class CommandGate:
         return lacking + [name for name in self.scans if name not in self.scanned]
 
     def watch(self, patience: float) -> None:
-        """Log once, by name, who has been silent for longer than patience [s]."""
-        if self.complete or self.node.wall() - self.since < patience or self.named:
+        """Log once, by name, who has been silent for longer than patience [s], and who answers."""
+        if self.named:
+            self._forgive()
+            return
+        if self.complete or self.node.wall() - self.since < patience:
             return
         self.named = self.missing()
         said = []
@@ -179,6 +181,13 @@ class CommandGate:
             f'waiting at {self.now_ns * 1e-9:.3f} s for {"; ".join(said)}: start or wake the node '
             'that answers, the episode then goes on'
         )
+
+    def _forgive(self) -> None:
+        """Name no more who has answered meanwhile."""
+        missing = self.missing()
+        if answered := [name for name in self.named if name not in missing]:
+            self.node.get_logger().info(f'{", ".join(answered)}: answering again')
+        self.named = [name for name in self.named if name in missing]
 
     def _publishers(self, topic: str) -> list[str]:
         infos = self.node.get_publishers_info_by_topic(topic)
