@@ -180,12 +180,12 @@ def test_a_callback_on_the_bus_that_fails_ends_the_spin(graph: Graph, executor: 
 
 
 def test_herd_runs_a_stack_in_one_process_and_ends_by_itself(graph: Graph) -> None:
-    words = ['--controller', 'pierson', '--sheep', '5', '--steps', '10', '--shepherds', '2']
-    herd = graph.start_words('herd', [*words, '--episodes', '1', '--ros-args', '-r', '__ns:=/far'])
     track = graph.track('/far')
+    words = ['--controller', 'pierson', '--sheep', '5', '--steps', '60', '--shepherds', '2']
+    herd = graph.start_words('herd', [*words, '--episodes', '1', '--ros-args', '-r', '__ns:=/far'])
     assert herd.wait() == 0
     assert '1 episodes done' in herd.text
-    world = WorldConfig(n_sheep=5, n_shepherds=2, episode_steps=10)
+    world = WorldConfig(n_sheep=5, n_shepherds=2, episode_steps=60)
     states = rollout('pierson', EnvConfig(world=world))[0]
     end = int(len(states) * world.dt * 1e9)
     graph.until(lambda: track.last == end, 'the last state')

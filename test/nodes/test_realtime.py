@@ -22,23 +22,34 @@ def time_of(graph: Graph, track: Track, steps: int) -> float:
     return time.monotonic() - start
 
 
+def assert_pace(graph: Graph, track: Track, steps: int, seconds: float) -> None:
+    """Assert that steps never take less, and as long as soon as the machine is free for them."""
+
+    def in_time() -> bool:
+        taken = time_of(graph, track, steps)
+        assert taken > 0.8 * seconds  # less a period, as the first may be heard late
+        return taken < 1.5 * seconds
+
+    graph.until(in_time, f'{steps} steps in {seconds} s')
+
+
 def test_the_world_keeps_its_rate_without_any_controller_and_takes_a_new_one(
     graph: Graph,
 ) -> None:
     track = graph.track()
     graph.host('flock_sim', rate=50.0, **SMALL)
-    assert 0.9 < time_of(graph, track, 50) < 3.0  # 1 s
+    assert_pace(graph, track, 50, 1.0)
     assert graph.call_named('flock_sim/set_parameters', rate=200.0) == [(True, '')]
-    assert 0.45 < time_of(graph, track, 100) < 1.5  # 0.5 s
+    assert_pace(graph, track, 100, 0.5)
     assert graph.call_named('flock_sim/set_parameters', rate=10.0) == [(True, '')]
-    assert 0.8 < time_of(graph, track, 10) < 3.0  # 1 s
+    assert_pace(graph, track, 10, 1.0)
 
 
 def test_a_rate_of_zero_is_as_fast_as_the_simulated_clock(graph: Graph) -> None:
     track = graph.track()
     sim = graph.host('flock_sim', dt=0.02, **SMALL)
     assert sim.period == 0.02
-    assert 0.9 < time_of(graph, track, 50) < 3.0
+    assert_pace(graph, track, 50, 1.0)
     assert {b - a for a, b in zip(track.stamps, track.stamps[1:], strict=False)} == {20_000_000}
 
 
@@ -46,7 +57,7 @@ def test_a_rate_given_as_an_integer_works(graph: Graph) -> None:
     track = graph.track()
     sim = graph.host('flock_sim', rate=40, **SMALL)
     assert sim.period == 0.025
-    assert 0.45 < time_of(graph, track, 20) < 2.0
+    assert_pace(graph, track, 20, 0.5)
     graph.call_named('flock_sim/set_parameters', rate=80.0)
     assert sim.period == 0.0125
 
@@ -71,7 +82,7 @@ def test_a_rate_that_cannot_be_is_refused_and_the_world_goes_on(
     assert not success
     assert pattern in reason
     assert sim.rate == 50.0
-    assert 0.15 < time_of(graph, track, 10) < 2.0
+    assert_pace(graph, track, 10, 0.2)
 
 
 @pytest.mark.parametrize(('watchdog_steps', 'moves'), [(3, 4), (0, 1)])
@@ -79,7 +90,7 @@ def test_the_watchdog_stops_a_shepherd_that_falls_silent(
     graph: Graph, watchdog_steps: int, moves: int
 ) -> None:
     track = graph.track()
-    graph.host('flock_sim', rate=20.0, watchdog_steps=watchdog_steps, **SMALL)
+    graph.host('flock_sim', rate=5.0, watchdog_steps=watchdog_steps, **SMALL)
     publisher = graph.publisher('shepherd_0/cmd_vel', TwistStamped)
     graph.until_status('flock_sim: commands', 'stopped by the watchdog: shepherd_0, shepherd_1')
     before = len(track.stamps)
@@ -106,7 +117,7 @@ def test_a_late_command_within_the_watchdogs_steps_counts_and_an_older_one_does_
     graph: Graph,
 ) -> None:
     track = graph.track()
-    sim = graph.host('flock_sim', rate=10.0, watchdog_steps=3, **SMALL)
+    sim = graph.host('flock_sim', rate=5.0, watchdog_steps=3, **SMALL)
     publisher = graph.publisher('shepherd_1/cmd_vel', TwistStamped)
     graph.until(lambda: len(track.stamps) > 6, 'a few steps')
     publisher.publish(twist(track.stamps[-6], 0.5, 0.0))

@@ -407,7 +407,7 @@ def test_log_times_are_those_of_the_simulated_clock(room: Graph, tmp_path: Path)
             (output, cdr(make('Float64', data=1.0))),
         ):
             publisher.publish(row)
-            room.idle(0.1)
+            room.idle(0.5)  # whose time comes first is told by nothing
     assert recorder.stop() == 0, recorder
     for publisher in (clock, output):
         room.node.destroy_publisher(publisher)
@@ -788,12 +788,13 @@ def test_step_plays_as_many_as_asked_for(room: Graph, tmp_path: Path) -> None:
 
 
 def test_a_pause_holds_the_message_that_is_next(room: Graph, tmp_path: Path) -> None:
-    bag = values(tmp_path / 'bag', 2, gap_ns=1_500_000_000)
+    bag = values(tmp_path / 'bag', 2, gap_ns=2_000_000_000)
     with hearing(room, '/metrics/flock_spread', Float64) as heard:
-        player = room.start_words('player', [str(bag), '--wait', '10'])
+        player = room.start_words('player', [str(bag), '-p', '--wait', '10'])
+        pause(room, False)
         room.until(lambda: heard, 'the first message')
         pause(room, True)
-        room.idle(1.7)
+        room.idle(2.2)
         assert len(heard) == 1
         pause(room, False)
         assert player.wait() == 0, player
