@@ -16,6 +16,12 @@ LEFT = 'DDS did not let go within 10 s: left it\n'
 STACK = ('flock_sim', 'lidar', 'metrics', 'strombom')
 
 
+def run_python(code: str) -> subprocess.CompletedProcess[str]:
+    """Return what a Python of its own did with some code."""
+    words = [sys.executable, '-c', code]
+    return subprocess.run(words, capture_output=True, text=True, timeout=50)
+
+
 def assert_clean_end(process: Process) -> None:
     """Assert that a process ends by itself, with exit code 0 and without a traceback."""
     assert process.wait() == 0, process
@@ -120,9 +126,7 @@ def test_a_signal_that_comes_as_the_interpreter_ends_does_not_change_the_exit_co
         "sys.argv = ['idle', 'now']\n"
         "sys.exit(run(None, 'idle', ''))\n"
     )
-    child = subprocess.run(
-        [sys.executable, '-c', code], capture_output=True, text=True, timeout=50
-    )
+    child = run_python(code)
     assert (child.returncode, child.stdout) == (2, 'sent'), child.stderr
 
 
@@ -142,9 +146,7 @@ def test_a_node_that_dds_does_not_let_go_is_left_with_its_exit_code() -> None:
         'runtime.LET_GO = 0.1\n'
         "runtime.leave([Stuck()], 'lidar', 3)\n"
     )
-    child = subprocess.run(
-        [sys.executable, '-c', code], capture_output=True, text=True, timeout=50
-    )
+    child = run_python(code)
     assert child.returncode == 3
     assert child.stderr == 'lidar: DDS did not let go within 0.1 s: left it\n'
 
