@@ -44,7 +44,10 @@ BLACK, STYLES = '#000000', {
     'idle': ('#8A949B', (0, (1, 3)), 'x'),
     'random': ('#B5BCC1', (0, (5, 4)), '+'),
 }  # fmt: skip
-POLICIES = ((BLACK, '-', 'o'), (BLACK, '--', 'v'), ('#555555', '-', 'P'), ('#555555', ':', '*'))
+POLICIES = [
+    ((BLACK, '#555555')[k % 2], ('-', '--', ':')[k % 3], marker)
+    for k, marker in enumerate('ovP*<h>pX')
+]
 
 
 def style_of(name: str, policies: Sequence[str]) -> dict[str, Any]:
@@ -124,7 +127,8 @@ def draw_cases(samples: Samples) -> Figure:
     """Return a row for each setting, a panel for each metric."""
     metrics, names = samples.experiment.panels, samples.controllers
     cases = [str(case) for case in samples.axis('case')]
-    figure, panels = new_figure(1, len(metrics), 4.0, 0.8 + 0.34 * len(cases))
+    width = 4.0 if len(metrics) > 1 else 7.0
+    figure, panels = new_figure(1, len(metrics), width, 0.8 + 0.34 * len(cases))
     for k, (metric, axes) in enumerate(zip(metrics, panels.flat, strict=True)):
         for j, name in enumerate(names):
             mean, low, high = mean_interval(samples.values[name, metric])
@@ -135,7 +139,8 @@ def draw_cases(samples: Samples) -> Figure:
         axes.set_yticks(range(len(cases)), cases if k == 0 else [''] * len(cases))
         axes.set_ylim(len(cases) - 0.5, -0.5)
         tidy(axes, PANELS[metric], '')
-        _limit(axes, metric, along='x')
+        if len(metrics) > 1:
+            _limit(axes, metric, along='x')
     _legend(figure, panels.flat[0])
     _title(figure, samples)
     return figure
