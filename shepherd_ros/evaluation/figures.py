@@ -124,7 +124,7 @@ def draw_lines(samples: Samples) -> Figure:
 
 
 def draw_cases(samples: Samples) -> Figure:
-    """Return a row for each setting, a panel for each metric."""
+    """Return a row for each setting, a panel for each metric; one alone has its own range."""
     metrics, names = samples.experiment.panels, samples.controllers
     cases = [str(case) for case in samples.axis('case')]
     width = 4.0 if len(metrics) > 1 else 7.0
