@@ -76,6 +76,7 @@ def test_a_silent_shepherd_is_named_and_the_episode_goes_on_when_it_answers(grap
     graph.until_says(sim, r'\[flock_sim\]: shepherd_0/cmd_vel: answering again')
     status = graph.until_status('flock_sim: commands', 'no answer on shepherd_1/cmd_vel')
     assert status.level == status.ERROR
+    assert 'shepherd_0' not in status.message
     assert_stands(graph, track)
     graph.start('strombom', '-r', '__node:=second', shepherd_ids=[1])
     graph.until_says(sim, r'\[flock_sim\]: shepherd_1/cmd_vel: answering again')

@@ -407,7 +407,7 @@ def test_log_times_are_those_of_the_simulated_clock(room: Graph, tmp_path: Path)
             (output, cdr(make('Float64', data=1.0))),
         ):
             publisher.publish(row)
-            room.idle(0.5)  # whose time comes first is told by nothing
+            room.idle(0.5)  # so that it is heard before the next
     assert recorder.stop() == 0, recorder
     for publisher in (clock, output):
         room.node.destroy_publisher(publisher)
