@@ -22,11 +22,11 @@ import time
 from typing import Any
 
 import numpy as np
-from shepherd_ros.bags.encode import encode_scan
-from shepherd_ros.bags.reader import Bag, open_bag
-from shepherd_ros.bags.writer import BagWriter
+from shepherd_ros.bringup import herding_stack
 from shepherd_ros.cli.processes import executable, isolate, running
-from shepherd_ros.stack import herding_stack
+from shepherd_ros.rosbag2.reader import Bag, open_bag
+from shepherd_ros.rosbag2.writer import BagWriter
+from shepherd_ros.wire.encode import encode_scan
 
 KINDS = ('none', 'lz4', 'zstd')
 PUBLISHERS = 4
@@ -57,7 +57,7 @@ def publish(topic: str, count: int, rate: float) -> None:
     """Publish scans with the quality of service of the contract; rate 0: as fast as it goes."""
     import rclpy
     from rclpy.duration import Duration
-    from shepherd_ros.nodes.base import message_type, quality
+    from shepherd_ros.ros.node import message_type, quality
 
     rclpy.init()
     node = rclpy.create_node('load_' + topic.split('/')[1], enable_rosout=False)
@@ -175,7 +175,7 @@ def run(
 def episode(out: Path, kind: str) -> Path:
     """Record the default episode without ROS; return its bag."""
     from shepherd_ros.controllers import make_controller
-    from shepherd_ros.evaluation.record import episode_folder, record_episodes
+    from shepherd_ros.recordings.record import episode_folder, record_episodes
     from shepherd_ros.sim.env import EnvConfig
 
     config = EnvConfig()

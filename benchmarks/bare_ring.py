@@ -16,9 +16,9 @@ import rclpy
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import LaserScan
-from shepherd_ros.bags.encode import encode_poses
-from shepherd_ros.nodes.messages import decode_poses
-from shepherd_ros.nodes.runtime import make_executor
+from shepherd_ros.ros.messages import decode_poses
+from shepherd_ros.ros.runtime import make_executor
+from shepherd_ros.wire.encode import encode_poses
 import torch
 
 LIDARS = 3

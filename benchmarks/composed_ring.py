@@ -9,9 +9,9 @@ import sys
 import time
 
 import rclpy
+from shepherd_ros.bringup import herding_stack
 from shepherd_ros.nodes.compose import compose
-from shepherd_ros.nodes.runtime import spin
-from shepherd_ros.stack import herding_stack
+from shepherd_ros.ros.runtime import spin
 import torch
 
 

@@ -9,7 +9,7 @@ import time
 from typing import Any
 
 from shepherd_ros.controllers import make_controller
-from shepherd_ros.sim import kernels
+from shepherd_ros.sim import compiled
 from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
 from shepherd_ros.sim.flocking import model_of
 from shepherd_ros.sim.lidar import scan
@@ -67,7 +67,7 @@ def main() -> None:
     torch.set_num_threads(options.threads)
     rows: list[dict[str, Any]] = []
     for form in ('compiled', 'plain'):
-        kernels.AVAILABLE = form == 'compiled'
+        compiled.AVAILABLE = form == 'compiled'
         rows += [
             {'form': form, 'worlds': worlds, **measure(worlds, options.seconds, options.device)}
             for worlds in options.worlds

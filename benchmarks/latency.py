@@ -16,10 +16,10 @@ import struct
 import tempfile
 import time
 
+from shepherd_ros.bringup import checkpoint_for, herding_stack
 from shepherd_ros.cli.processes import isolate, running
 from shepherd_ros.policy.checkpoint import load_policy
 from shepherd_ros.sim.lidar import CHANNELS
-from shepherd_ros.stack import checkpoint_for, herding_stack
 import torch
 
 
@@ -47,7 +47,7 @@ def stack(shepherds: int, rate: float, seconds: float) -> list[float]:
     import rclpy
     from rclpy.qos import qos_profile_sensor_data
     from sensor_msgs.msg import LaserScan
-    from shepherd_ros.nodes.runtime import make_executor
+    from shepherd_ros.ros.runtime import make_executor
 
     sent: defaultdict[tuple[int, int], int] = defaultdict(int)  # last scan of a stamp
     answered: defaultdict[tuple[int, int], int] = defaultdict(int)

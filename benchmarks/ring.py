@@ -21,13 +21,13 @@ import sys
 import tempfile
 import time
 
+from shepherd_ros.bringup import herding_stack, Process
 from shepherd_ros.cli.processes import isolate, running
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.sim.lidar import LidarConfig, scan
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.transition import step
 from shepherd_ros.sim.world import WorldConfig
-from shepherd_ros.stack import herding_stack, Process
 import torch
 
 HERE = Path(__file__).parent

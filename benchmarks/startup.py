@@ -9,9 +9,9 @@ import resource
 import tempfile
 import time
 
+from shepherd_ros.bringup import herding_stack, Process
 from shepherd_ros.cli.processes import isolate, running
 from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
-from shepherd_ros.stack import herding_stack, Process
 import torch
 
 MANY = 512  # worlds

@@ -9,10 +9,10 @@ from launch.action import Action
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown, TimerAction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from shepherd_ros.bags.reader import open_bag
-from shepherd_ros.share import share_file
-from shepherd_ros.stack import commanded, REPLAY_ARGUMENTS, replay_values
-from shepherd_ros.topics import renamed_topics
+from shepherd_ros.bringup import commanded, REPLAY_ARGUMENTS, replay_values
+from shepherd_ros.resources import share_file
+from shepherd_ros.rosbag2.reader import open_bag
+from shepherd_ros.wire.topics import renamed_topics
 
 
 def nodes(context: LaunchContext) -> list[Action]:

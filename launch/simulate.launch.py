@@ -9,9 +9,9 @@ from launch.action import Action
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from shepherd_ros.share import share_file
-from shepherd_ros.stack import herding_stack, LAUNCH_ARGUMENTS, launch_values
-from shepherd_ros.topics import renamed_topics
+from shepherd_ros.bringup import herding_stack, LAUNCH_ARGUMENTS, launch_values
+from shepherd_ros.resources import share_file
+from shepherd_ros.wire.topics import renamed_topics
 
 
 def nodes(context: LaunchContext) -> list[Action]:

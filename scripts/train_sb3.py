@@ -11,7 +11,7 @@ import torch
 import tyro
 
 try:
-    from shepherd_ros.sb3 import evaluate, HerdingVecEnv, LidarFeatures
+    from shepherd_ros.integrations.sb3 import evaluate, HerdingVecEnv, LidarFeatures
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 except ImportError as error:

@@ -2,7 +2,7 @@
 """Write config/<node>.yaml anew from the defaults of the nodes."""
 
 from shepherd_ros.nodes.defaults import parameter_file, WITH_FILE
-from shepherd_ros.share import share_file
+from shepherd_ros.resources import share_file
 
 if __name__ == '__main__':
     for name in WITH_FILE:

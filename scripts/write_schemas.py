@@ -5,15 +5,15 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from shepherd_ros.bags.schemas import (
+from shepherd_ros.sim.flocking import FLOCK_MODELS
+from shepherd_ros.sim.world import SpawnConfig, WorldConfig
+from shepherd_ros.wire.schemas import (
     config_schema,
     installed_text,
     nested_text,
     schema_name,
     wire_types,
 )
-from shepherd_ros.sim.flocking import FLOCK_MODELS
-from shepherd_ros.sim.world import SpawnConfig, WorldConfig
 
 FOLDER = Path(__file__).resolve().parents[1] / 'msg_schemas'
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from shepherd_ros.sim.noise import direction, Stream, uniform
+from shepherd_ros.sim.rng import direction, Stream, uniform
 from shepherd_ros.sim.state import stack, WorldState
 import torch
 from torch import Tensor

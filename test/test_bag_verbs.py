@@ -7,7 +7,9 @@ import hashlib
 from pathlib import Path
 import re
 
-from bags.tiny import (
+from pyarrow import csv, parquet
+import pytest
+from rosbag2.tiny import (
     cdr,
     EPISODES,
     make,
@@ -19,15 +21,13 @@ from bags.tiny import (
     without,
     write,
 )
-from pyarrow import csv, parquet
-import pytest
-from shepherd_ros.bags.decode import decode_string
-from shepherd_ros.bags.diff import diff_bags
-from shepherd_ros.bags.episodes import iter_episodes
-from shepherd_ros.bags.reader import open_bag
 from shepherd_ros.cli import main
-from shepherd_ros.evaluation.replay import metrics_over_time, states_of
-from shepherd_ros.evaluation.summary import COLUMNS
+from shepherd_ros.recordings.episodes import iter_episodes
+from shepherd_ros.recordings.metrics import COLUMNS
+from shepherd_ros.recordings.replay import metrics_over_time, states_of
+from shepherd_ros.rosbag2.diff import diff_bags
+from shepherd_ros.rosbag2.reader import open_bag
+from shepherd_ros.wire.decode import decode_string
 
 MESSAGES = recording()[0]
 STATES = EPISODES * (STEPS + 1)

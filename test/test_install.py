@@ -29,7 +29,7 @@ NODES = {
 MARKER = 'share/ament_index/resource_index/packages/shepherd_ros'
 FILES = ('package.xml', 'config/shepherd.rviz', 'launch/simulate.launch.py')
 FILES += ('msg_schemas/topics.yaml', 'msg_schemas/geometry_msgs/PoseArray.msg')
-FIND = 'from shepherd_ros.share import share_file; print(share_file({!r}))'
+FIND = 'from shepherd_ros.resources import share_file; print(share_file({!r}))'
 # what the wheels' start-up code leaves behind; another start of Python has to find it out anew
 BOOTSTRAP = ('LD_LIBRARY_PATH', '_ROS_WHEELS_BOOTSTRAP_COMPLETE')
 

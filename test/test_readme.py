@@ -6,7 +6,7 @@ import re
 import shlex
 
 import pytest
-from shepherd_ros.topics import contract, topic_table
+from shepherd_ros.wire.topics import contract, topic_table
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / 'README.md').read_text(encoding='utf-8')

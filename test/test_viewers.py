@@ -5,7 +5,7 @@ from pathlib import Path
 import re
 
 import pytest
-from shepherd_ros.topics import contract
+from shepherd_ros.wire.topics import contract
 import yaml
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config'

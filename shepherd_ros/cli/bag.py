@@ -10,7 +10,7 @@ from shepherd_ros.cli import UserError
 import tyro
 
 if TYPE_CHECKING:
-    from shepherd_ros.bags.episodes import Episode
+    from shepherd_ros.recordings.episodes import Episode
 
 Bags = tyro.conf.Positional[Path]
 DIFFERENT = 1  # exit code of check and diff when something was found
@@ -27,13 +27,13 @@ class Info:
 
     def run(self) -> int:
         """Print it."""
-        from shepherd_ros.bags.info import bag_info
-        from shepherd_ros.bags.reader import open_bag
+        from shepherd_ros.recordings.info import bag_info
+        from shepherd_ros.rosbag2.reader import open_bag
 
         bag = open_bag(self.bag)
         text = bag_info(bag).text()
         if self.metrics:
-            from shepherd_ros.evaluation.summary import metrics_lines
+            from shepherd_ros.recordings.metrics import metrics_lines
 
             text = '\n'.join([text, *metrics_lines(bag)])
         print(text)
@@ -51,8 +51,8 @@ class Check:
 
     def run(self) -> int:
         """Print what was found, the first gap first."""
-        from shepherd_ros.bags.check import check_bag
-        from shepherd_ros.bags.reader import open_bag
+        from shepherd_ros.recordings.check import check_bag
+        from shepherd_ros.rosbag2.reader import open_bag
 
         result = check_bag(open_bag(self.bag), self.require)
         print(result.text())
@@ -72,7 +72,7 @@ class Recover:
 
     def run(self) -> int:
         """Recover and print what was kept and lost."""
-        from shepherd_ros.bags.recover import recover
+        from shepherd_ros.rosbag2.recover import recover
 
         print(recover(self.bag, self.output, compression=self.compression).text())
         return 0
@@ -93,8 +93,8 @@ class Export:
 
     def run(self) -> int:
         """Export and print the tables."""
-        from shepherd_ros.bags.export import export_bag
-        from shepherd_ros.bags.reader import open_bag
+        from shepherd_ros.recordings.export import export_bag
+        from shepherd_ros.rosbag2.reader import open_bag
 
         tables = export_bag(open_bag(self.bag), self.output, self.format, self.namespace)
         for table in tables.values():
@@ -118,8 +118,8 @@ class Diff:
 
     def run(self) -> int:
         """Print a line for each topic."""
-        from shepherd_ros.bags.diff import diff_bags
-        from shepherd_ros.bags.reader import open_bag
+        from shepherd_ros.rosbag2.diff import diff_bags
+        from shepherd_ros.rosbag2.reader import open_bag
 
         left, right = open_bag(self.left), open_bag(self.right)
         result = diff_bags(left, right, times=self.times, once=self.once)
@@ -131,8 +131,8 @@ def one_episode(bag: Path, namespace: str | None, number: int) -> Episode:
     """Return an episode of a bag, counted from 0, that has states; raises UserError."""
     from itertools import islice
 
-    from shepherd_ros.bags.episodes import iter_episodes
-    from shepherd_ros.bags.reader import open_bag
+    from shepherd_ros.recordings.episodes import iter_episodes
+    from shepherd_ros.rosbag2.reader import open_bag
 
     episodes = iter_episodes(open_bag(bag), namespace)
     episode = next(islice(episodes, max(number, 0), None), None)
@@ -167,7 +167,7 @@ class Render:
 
     def run(self) -> int:
         """Draw and print what was written."""
-        from shepherd_ros.evaluation.replay import (
+        from shepherd_ros.recordings.replay import (
             metrics_over_time,
             ranges_of,
             states_of,

@@ -45,10 +45,10 @@ class Counterfactual:
 
     def run(self) -> int:
         """Drive on, write and draw; return the exit code."""
-        from shepherd_ros.bags.episodes import iter_episodes
-        from shepherd_ros.bags.reader import open_bag
-        from shepherd_ros.evaluation.counterfactual import metrics_table, record_future
-        from shepherd_ros.evaluation.replay import description_of, track_of
+        from shepherd_ros.recordings.counterfactual import metrics_table, record_future
+        from shepherd_ros.recordings.episodes import iter_episodes
+        from shepherd_ros.recordings.replay import description_of, track_of
+        from shepherd_ros.rosbag2.reader import open_bag
         from shepherd_ros.view.animation import animate
         from shepherd_ros.view.picture import draw_tracks
 

@@ -46,7 +46,7 @@ class Info(Common):
 
     def run(self) -> int:
         """Print it."""
-        from shepherd_ros.learning.dataset import look_at
+        from shepherd_ros.datasets.examples import look_at
 
         report = look_at(self.places, self.frames(), self.labels)
         print(json.dumps(report.to_dict(), indent=1) if self.json else report.text())
@@ -62,7 +62,7 @@ class Build(Common):
 
     def run(self) -> int:
         """Write it and print what was found."""
-        from shepherd_ros.learning.dataset import build_dataset
+        from shepherd_ros.datasets.examples import build_dataset
 
         report = build_dataset(self.places, self.out, self.frames(), self.labels)
         print(json.dumps(report.to_dict(), indent=1) if self.json else report.text())

@@ -12,12 +12,12 @@ from typing import Any, TYPE_CHECKING
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from shepherd_ros.bringup import checkpoint_for, herding_stack
 from shepherd_ros.cli import UserError
 from shepherd_ros.cli.processes import isolate, Running, running
-from shepherd_ros.stack import checkpoint_for, herding_stack
 
 if TYPE_CHECKING:
-    from shepherd_ros.nodes.witness import Witness
+    from shepherd_ros.nodes.episode_probe import Witness
 
 PATIENCE = 60.0  # [s] wall time without any news before giving up
 
@@ -55,7 +55,7 @@ class Demo:
             f'{self.flock} flock, seed {self.seed}; ROS_DOMAIN_ID={os.environ["ROS_DOMAIN_ID"]}'
         )
         # rclpy reads the environment when it is imported
-        from shepherd_ros.nodes.witness import witnessing
+        from shepherd_ros.nodes.episode_probe import witnessing
 
         with running(self.out / 'logs') as processes, witnessing() as (witness, hear):
             self._herd(processes, witness, hear, console)

@@ -12,8 +12,8 @@ from shepherd_ros.cli.code import commit
 import tyro
 
 if TYPE_CHECKING:
-    from shepherd_ros.evaluation.experiments import Experiment
-    from shepherd_ros.evaluation.setting import Setting
+    from shepherd_ros.experiments.catalog import Experiment
+    from shepherd_ros.experiments.setting import Setting
 
 
 @dataclass
@@ -61,10 +61,10 @@ class Evaluate:
 
     def run(self) -> int:
         """Run what is missing; return the exit code."""
-        from shepherd_ros.evaluation.campaign import codes_of, is_done, plan, run_tasks, shard_of
-        from shepherd_ros.evaluation.cells import Cell
-        from shepherd_ros.evaluation.experiments import experiments
-        from shepherd_ros.ranks import rank, ranks, wait_for_all
+        from shepherd_ros.experiments.campaign import codes_of, is_done, plan, run_tasks, shard_of
+        from shepherd_ros.experiments.catalog import experiments
+        from shepherd_ros.experiments.cells import Cell
+        from shepherd_ros.learning.distributed import rank, ranks, wait_for_all
 
         if self.workers < 1:
             raise UserError(f'--workers is {self.workers}: expected at least 1')
@@ -113,7 +113,7 @@ class Evaluate:
 
     def changed(self, experiment: Experiment) -> Experiment:
         """Return an experiment with the changes that were asked for."""
-        from shepherd_ros.evaluation.experiments import QUICK_STEPS
+        from shepherd_ros.experiments.catalog import QUICK_STEPS
 
         experiment = experiment.with_preset(self.preset)
         settings = experiment.quick if self.quick else experiment.settings
@@ -139,9 +139,9 @@ class Evaluate:
 
     def write_tables(self, chosen: list[Experiment]) -> None:
         """Write a table of each experiment beside the rows, and say where."""
-        from shepherd_ros.evaluation.rows import read_rows
-        from shepherd_ros.evaluation.samples import samples_of
-        from shepherd_ros.evaluation.table import markdown
+        from shepherd_ros.experiments.results import read_rows
+        from shepherd_ros.experiments.samples import samples_of
+        from shepherd_ros.experiments.table import markdown
 
         rows = read_rows([self.out])
         for experiment in chosen:

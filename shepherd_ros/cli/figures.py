@@ -35,14 +35,14 @@ class Figures:
 
     def run(self) -> int:
         """Draw all; return the exit code."""
-        from shepherd_ros.evaluation.curves import find_curves
-        from shepherd_ros.evaluation.experiments import EXPERIMENTS, OF_THE_PAPER
-        from shepherd_ros.evaluation.figures import draw, draw_curves, draw_values, save
-        from shepherd_ros.evaluation.judgement import has_critic
-        from shepherd_ros.evaluation.methods import checkpoint_of, full_name, loaded
-        from shepherd_ros.evaluation.rows import read_rows
-        from shepherd_ros.evaluation.samples import Samples, samples_of
-        from shepherd_ros.evaluation.value_map import value_map
+        from shepherd_ros.experiments.catalog import EXPERIMENTS, OF_THE_PAPER
+        from shepherd_ros.experiments.methods import checkpoint_of, full_name, loaded
+        from shepherd_ros.experiments.results import read_rows
+        from shepherd_ros.experiments.samples import Samples, samples_of
+        from shepherd_ros.experiments.value_map import value_map
+        from shepherd_ros.paper.curves import find_curves
+        from shepherd_ros.paper.figures import draw, draw_curves, draw_values, save
+        from shepherd_ros.paper.verdicts import has_critic
         import torch
 
         torch.set_num_threads(1)
@@ -71,13 +71,13 @@ class Figures:
         for name, figure in pictures.items():
             print(*save(figure, self.out, name))
         if self.report:
-            from shepherd_ros.evaluation.judgement import (
+            from shepherd_ros.experiments.table import CSV_HEADER, csv_rows, grids
+            from shepherd_ros.paper.report import page
+            from shepherd_ros.paper.verdicts import (
                 judge_curves,
                 judge_samples,
                 judge_values,
             )
-            from shepherd_ros.evaluation.report import page
-            from shepherd_ros.evaluation.table import CSV_HEADER, csv_rows, grids
 
             judgements = [
                 *judge_curves(curves),

@@ -12,9 +12,9 @@ import subprocess
 import sys
 import time
 
+from shepherd_ros.bringup import Process
 from shepherd_ros.cli import UserError
-from shepherd_ros.share import share_file
-from shepherd_ros.stack import Process
+from shepherd_ros.resources import share_file
 
 
 def _found(name: str) -> str | None:

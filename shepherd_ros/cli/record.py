@@ -59,7 +59,7 @@ class Record:
             self.out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise UserError(f'--out is {self.out}: expected a folder ({error.strerror})') from None
-        from shepherd_ros.evaluation.record import episode_folder
+        from shepherd_ros.recordings.record import episode_folder
 
         seeds = range(self.seed, self.seed + self.episodes)
         parts = [range(start, min(start + TOGETHER, seeds.stop)) for start in seeds[::TOGETHER]]
@@ -101,8 +101,8 @@ class Record:
 
 def record_part(options: Record, seeds: range) -> int:
     """Record some episodes in a process of its own; return how many."""
-    from shepherd_ros.evaluation.record import episode_folder, record_episodes
     from shepherd_ros.memory import keep_memory
+    from shepherd_ros.recordings.record import episode_folder, record_episodes
     import torch
 
     torch.set_num_threads(1)

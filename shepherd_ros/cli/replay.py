@@ -9,16 +9,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, TYPE_CHECKING
 
+from shepherd_ros.bringup import Process
 from shepherd_ros.cli import UserError
 from shepherd_ros.cli.controllers import Chosen, chosen
 from shepherd_ros.cli.processes import is_executable, isolate, running
-from shepherd_ros.stack import Process
 import tyro
 
 if TYPE_CHECKING:
-    from shepherd_ros.bags.episodes import Episode, Frame
-    from shepherd_ros.bags.grouping import Group
-    from shepherd_ros.evaluation.answers import Comparison
+    from shepherd_ros.recordings.episodes import Episode, Frame
+    from shepherd_ros.recordings.grouping import Group
+    from shepherd_ros.recordings.replay_check import Comparison
 
 DIFFERENT = 1  # exit code if a command differs or is missing
 
@@ -53,7 +53,7 @@ class Replay:
 
     def run(self) -> int:
         """Compare all and print the result; return the exit code."""
-        from shepherd_ros.evaluation.answers import Comparison
+        from shepherd_ros.recordings.replay_check import Comparison
 
         if not 0 <= self.tolerance < float('inf'):
             raise UserError(f'--tolerance is {self.tolerance}: expected 0 or more [m/s]')
@@ -73,10 +73,10 @@ class Replay:
 
     def _episodes(self, result: Comparison) -> Iterator[tuple[Episode, list[Frame], Group]]:
         """Yield the episodes to compare with the states to ask about."""
-        from shepherd_ros.bags.episodes import episode_of, one_namespace
-        from shepherd_ros.bags.grouping import Groups
-        from shepherd_ros.bags.reader import open_bag
-        from shepherd_ros.evaluation.answers import asked_frames
+        from shepherd_ros.recordings.episodes import episode_of, one_namespace
+        from shepherd_ros.recordings.grouping import Groups
+        from shepherd_ros.recordings.replay_check import asked_frames
+        from shepherd_ros.rosbag2.reader import open_bag
 
         bag = open_bag(self.bag)
         space = one_namespace(bag, self.namespace)
@@ -102,8 +102,8 @@ class Replay:
 
     def _ask_law(self, asked: Chosen, result: Comparison) -> None:
         """Compare what the law says."""
-        from shepherd_ros.evaluation.answers import core_answers
-        from shepherd_ros.evaluation.replay import description_of, states_of
+        from shepherd_ros.recordings.replay import description_of, states_of
+        from shepherd_ros.recordings.replay_check import core_answers
 
         for episode, frames, _ in self._episodes(result):
             controller = asked.make(description_of(episode).world)
@@ -115,7 +115,7 @@ class Replay:
         """Compare what the node says."""
         isolate(os.environ)
         try:  # now, as rclpy reads the environment when it is imported
-            from shepherd_ros.nodes.questioner import questioning
+            from shepherd_ros.nodes.controller_probe import questioning
         except ModuleNotFoundError as error:
             raise UserError(f'{error}: install ROS 2, or use --without-ros') from None
 
@@ -142,9 +142,9 @@ class Replay:
 
     def _team(self) -> list[int]:
         """Return the shepherds that the node shall command."""
-        from shepherd_ros.bags.episodes import one_namespace
-        from shepherd_ros.bags.grouping import announced
-        from shepherd_ros.bags.reader import open_bag
+        from shepherd_ros.recordings.episodes import one_namespace
+        from shepherd_ros.recordings.grouping import announced
+        from shepherd_ros.rosbag2.reader import open_bag
 
         bag = open_bag(self.bag)
         infos = announced(bag, one_namespace(bag, self.namespace))

@@ -31,8 +31,8 @@ class Search:
 
     def run(self) -> int:
         """Search; print every candidate that is better than all before."""
-        from shepherd_ros.evaluation.claims import AGREES
-        from shepherd_ros.evaluation.search import CHOICES, search
+        from shepherd_ros.paper.claims import AGREES
+        from shepherd_ros.paper.preset_search import CHOICES, search
         import torch
 
         if self.candidates < 1 or self.episodes < 2:
@@ -42,7 +42,7 @@ class Search:
             )
         torch.set_num_threads(1)
         if self.presets:
-            from shepherd_ros.evaluation.preset_scores import preset_scores
+            from shepherd_ros.paper.preset_scores import preset_scores
 
             tell = partial(print, file=sys.stderr)
             print(preset_scores(self.presets, self.episodes, tell=tell))

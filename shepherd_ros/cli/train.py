@@ -15,6 +15,7 @@ from shepherd_ros.cli.arguments import arguments_of, configured
 from shepherd_ros.cli.code import commit
 from shepherd_ros.config import Config
 from shepherd_ros.learning.dagger import DaggerConfig, train_dagger
+from shepherd_ros.learning.distributed import device_index, rank, ranks
 from shepherd_ros.learning.ppo import PPOConfig
 from shepherd_ros.learning.run_folder import Run
 from shepherd_ros.learning.task import TaskConfig
@@ -24,7 +25,6 @@ from shepherd_ros.memory import keep_memory
 from shepherd_ros.policy.checkpoint import load_policy
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
-from shepherd_ros.ranks import device_index, rank, ranks
 from shepherd_ros.sim.observation import ObservationConfig
 import torch
 import tyro

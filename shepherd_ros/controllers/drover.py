@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.controllers.base import Controller, Memory
-from shepherd_ros.controllers.stance import (
+from shepherd_ros.controllers.formation import (
     bearings_in_order,
     middle_of_ring,
     Stance,

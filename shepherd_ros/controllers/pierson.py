@@ -13,9 +13,9 @@ import math
 
 from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.controllers.base import Controller, Memory, places_on_arc
+from shepherd_ros.controllers.pierson_compiled import pierson_act
+from shepherd_ros.sim.compiled import usable
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
-from shepherd_ros.sim.kernels import usable
-from shepherd_ros.sim.kernels.pierson import pierson_act
 from shepherd_ros.sim.metrics import flock_spread
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, wrap

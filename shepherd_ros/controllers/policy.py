@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.controllers.base import Controller, Memory
-from shepherd_ros.policy import pilot
+from shepherd_ros.policy import inference
 from shepherd_ros.policy.checkpoint import load_policy
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.lidar import scan
-from shepherd_ros.sim.noise import normal, Stream
+from shepherd_ros.sim.rng import normal, Stream
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
 import torch
@@ -47,7 +47,7 @@ class LearnedController(Controller):
     def begin(self, seen: WorldState) -> Memory:
         """Return the memory of a team that has seen nothing."""
         team = seen.shepherds.shape[-2]
-        return pilot.begin(self.policy, seen.step.shape, team, self.dtype)
+        return inference.begin(self.policy, seen.step.shape, team, self.dtype)
 
     def look(self, seen: WorldState) -> Tensor:
         """Return what the shepherds' lidars see, (..., H, 3, R) m."""
@@ -59,7 +59,7 @@ class LearnedController(Controller):
         def draws() -> Tensor:
             return action_draws(seen.seed, seen.step, seen.shepherds.shape[-2])
 
-        return pilot.fly(
+        return inference.fly(
             self.policy,
             lambda: self.look(seen),
             seen.shepherd_mask,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from shepherd_ros.config import Config, option
 from shepherd_ros.controllers.base import Controller, Memory
-from shepherd_ros.sim.noise import direction, Stream
+from shepherd_ros.sim.rng import direction, Stream
 from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor

@@ -13,10 +13,10 @@ import math
 
 from shepherd_ros.config import Config, option
 from shepherd_ros.controllers.base import Controller, Memory, places_on_arc
+from shepherd_ros.controllers.strombom_compiled import strombom_act
+from shepherd_ros.sim.compiled import usable
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
-from shepherd_ros.sim.kernels import usable
-from shepherd_ros.sim.kernels.strombom import strombom_act
-from shepherd_ros.sim.noise import direction, Stream
+from shepherd_ros.sim.rng import direction, Stream
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import bearing, from_bearing, unit, wrap
 import torch

@@ -16,13 +16,13 @@ from shepherd_ros.config import Config, option, part
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.controllers.base import Controller
 from shepherd_ros.controllers.policy import LearnedConfig, LearnedController
-from shepherd_ros.evaluation.methods import checkpoint_of, full_name
+from shepherd_ros.experiments.methods import checkpoint_of, full_name
 from shepherd_ros.learning.clone import CloneConfig, Cloner, Examples
-from shepherd_ros.learning.judge import judge
+from shepherd_ros.learning.dagger_bags import Visits
 from shepherd_ros.learning.rollout import Group, team_reward
 from shepherd_ros.learning.run_folder import Run
 from shepherd_ros.learning.task import TaskConfig
-from shepherd_ros.learning.visited import Visits
+from shepherd_ros.learning.validation import judge
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock

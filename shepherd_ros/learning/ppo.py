@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from shepherd_ros.config import Config, option
+from shepherd_ros.learning.distributed import add_up, least, ranks, total
 from shepherd_ros.learning.rollout import Batch, log_prob, Rollout
 from shepherd_ros.policy.policy import Policy
-from shepherd_ros.ranks import add_up, least, ranks, total
 import torch
 from torch import nn, Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn

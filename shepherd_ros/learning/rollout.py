@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
 
+from shepherd_ros.learning.distributed import rank
 from shepherd_ros.learning.gae import advantages
 from shepherd_ros.learning.task import draw_environment, TaskConfig
 from shepherd_ros.policy.policy import Policy
-from shepherd_ros.ranks import rank
 from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.lidar import scan
 from shepherd_ros.sim.observation import turned

@@ -10,9 +10,9 @@ import pickle
 from typing import Any
 
 from shepherd_ros.config import ConfigError
+from shepherd_ros.learning.distributed import rank
 from shepherd_ros.policy.checkpoint import save_policy
 from shepherd_ros.policy.policy import Policy
-from shepherd_ros.ranks import rank
 import torch
 
 # what torch raises for bytes that are no state

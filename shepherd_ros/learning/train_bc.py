@@ -10,12 +10,12 @@ import time
 from typing import Any
 
 from shepherd_ros.config import Config, ConfigError, option, part
+from shepherd_ros.datasets.examples import stream_examples
+from shepherd_ros.datasets.report import Report
 from shepherd_ros.learning.clone import CloneConfig, Cloner, Examples
-from shepherd_ros.learning.dataset import stream_examples
-from shepherd_ros.learning.judge import judge
-from shepherd_ros.learning.report import Report
 from shepherd_ros.learning.run_folder import Run
 from shepherd_ros.learning.task import TaskConfig
+from shepherd_ros.learning.validation import judge
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
 

@@ -14,14 +14,14 @@ from shepherd_ros.learning.annealing import (
     stage_at,
     stages,
 )
-from shepherd_ros.learning.judge import judge
+from shepherd_ros.learning.distributed import least, rank, ranks, total
 from shepherd_ros.learning.ppo import Learner, PPOConfig
 from shepherd_ros.learning.rollout import Rollout
 from shepherd_ros.learning.run_folder import Run
 from shepherd_ros.learning.task import TaskConfig
+from shepherd_ros.learning.validation import judge
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
-from shepherd_ros.ranks import least, rank, ranks, total
 import torch
 
 STAGES_APART = 7919  # of seeds, from a stage to the next

@@ -6,15 +6,15 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+from shepherd_ros.bringup import Process
 from shepherd_ros.controllers import CONTROLLERS
-from shepherd_ros.nodes.base import ShepherdNode
-from shepherd_ros.nodes.bus import Bus
 from shepherd_ros.nodes.flock_node import FlockSim
 from shepherd_ros.nodes.heuristic_node import HeuristicNode
 from shepherd_ros.nodes.lidar_node import LidarNode
 from shepherd_ros.nodes.metrics_node import MetricsNode
 from shepherd_ros.nodes.policy_node import PolicyNode
-from shepherd_ros.stack import Process
+from shepherd_ros.ros.intra_process import Bus
+from shepherd_ros.ros.node import ShepherdNode
 
 NODES: dict[str, Callable[..., ShepherdNode]] = {
     'flock_sim': FlockSim,

@@ -9,18 +9,18 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from shepherd_ros.config import ConfigError
-from shepherd_ros.episode import Episode
-from shepherd_ros.nodes.base import OK, ShepherdNode, WARN
-from shepherd_ros.nodes.command_gate import CommandGate
+from shepherd_ros.nodes.flock_commands import CommandGate
+from shepherd_ros.nodes.flock_parameters import declare_world
+from shepherd_ros.nodes.flock_publishers import WorldOutput
 from shepherd_ros.nodes.flock_services import FlockServices, LARGEST_SEED
-from shepherd_ros.nodes.parameters import declare
-from shepherd_ros.nodes.runtime import run
-from shepherd_ros.nodes.world_options import declare_world
-from shepherd_ros.nodes.world_output import WorldOutput
-from shepherd_ros.sim import kernels
+from shepherd_ros.ros.node import OK, ShepherdNode, WARN
+from shepherd_ros.ros.parameters import declare
+from shepherd_ros.ros.runtime import run
+from shepherd_ros.sim import compiled
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import step
+from shepherd_ros.wire.episode import Episode
 import torch
 from torch import Tensor
 
@@ -50,7 +50,7 @@ class FlockSim(ShepherdNode):
 
     def __init__(self, **kwargs: Any) -> None:
         """Create the node and start the first episode."""
-        kernels.start()
+        compiled.start()
         super().__init__('flock_sim', **kwargs)
         self.world = declare_world(self)
         self.seed: int = self.option(

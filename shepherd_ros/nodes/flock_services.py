@@ -15,7 +15,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import parameter_value_to_python
 from shepherd_ros.config import ConfigError
-from shepherd_ros.nodes.messages import LARGEST_FLOAT32
+from shepherd_ros.ros.messages import LARGEST_FLOAT32
 from std_srvs.srv import SetBool
 
 if TYPE_CHECKING:

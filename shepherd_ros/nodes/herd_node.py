@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from shepherd_ros.bringup import herding_stack
 from shepherd_ros.config import ConfigError
-from shepherd_ros.nodes.base import ShepherdNode
 from shepherd_ros.nodes.compose import compose, NODES
-from shepherd_ros.nodes.runtime import run
-from shepherd_ros.stack import herding_stack
+from shepherd_ros.ros.node import ShepherdNode
+from shepherd_ros.ros.runtime import run
 import torch
 
 PARTS = ('flock_sim', 'lidar', 'metrics')  # what is no controller

@@ -5,19 +5,19 @@ from __future__ import annotations
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from shepherd_ros.bags.encode import encode_command, encode_twist
 from shepherd_ros.controllers import controller_type
 from shepherd_ros.controllers.base import Controller, Memory
-from shepherd_ros.episode import Episode
-from shepherd_ros.nodes.base import OK, ShepherdNode, WARN
-from shepherd_ros.nodes.bus import Output
-from shepherd_ros.nodes.listener import Listener
-from shepherd_ros.nodes.parameters import declare_config
-from shepherd_ros.nodes.runtime import run
-from shepherd_ros.sim import kernels
+from shepherd_ros.ros.intra_process import Output
+from shepherd_ros.ros.node import OK, ShepherdNode, WARN
+from shepherd_ros.ros.parameters import declare_config
+from shepherd_ros.ros.runtime import run
+from shepherd_ros.ros.world_subscriber import Listener
+from shepherd_ros.sim import compiled
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.presets import PRESETS
 from shepherd_ros.sim.state import WorldState
+from shepherd_ros.wire.encode import encode_command, encode_twist
+from shepherd_ros.wire.episode import Episode
 import torch
 
 ALL = -1
@@ -28,7 +28,7 @@ class HeuristicNode(ShepherdNode):
 
     def __init__(self, controller: str, **kwargs: Any) -> None:
         """Create the node of the controller with that name."""
-        kernels.start()
+        compiled.start()
         super().__init__(controller, **kwargs)
         self.kind = controller_type(controller)
         presets = tuple(sorted(PRESETS))

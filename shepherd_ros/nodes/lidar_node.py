@@ -5,18 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from shepherd_ros.bags.encode import encode_scan
 from shepherd_ros.config import ConfigError
-from shepherd_ros.episode import Episode
-from shepherd_ros.nodes.base import ERROR, OK, ShepherdNode, WARN
-from shepherd_ros.nodes.listener import Listener
-from shepherd_ros.nodes.markers import ray_markers
-from shepherd_ros.nodes.parameters import declare_config
-from shepherd_ros.nodes.runtime import run
-from shepherd_ros.sim import kernels
+from shepherd_ros.ros.markers import ray_markers
+from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
+from shepherd_ros.ros.parameters import declare_config
+from shepherd_ros.ros.runtime import run
+from shepherd_ros.ros.world_subscriber import Listener
+from shepherd_ros.sim import compiled
 from shepherd_ros.sim.lidar import CHANNELS, LidarConfig, scan
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.state import WorldState
+from shepherd_ros.wire.encode import encode_scan
+from shepherd_ros.wire.episode import Episode
 import torch
 
 MARKER_PERIOD = 0.05  # [s] wall time between two pictures
@@ -27,7 +27,7 @@ class LidarNode(ShepherdNode):
 
     def __init__(self, **kwargs: Any) -> None:
         """Create the node and its publishers."""
-        kernels.start()
+        compiled.start()
         super().__init__('lidar', **kwargs)
         self.config = declare_config(self, LidarConfig())
         self.shepherd_ids: list[int] = self.option('shepherd_ids', [0], 'shepherds that carry it')

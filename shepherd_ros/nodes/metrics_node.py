@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from shepherd_ros.bags.encode import encode_number
-from shepherd_ros.episode import Episode
-from shepherd_ros.nodes.base import OK, ShepherdNode, WARN
-from shepherd_ros.nodes.listener import Listener
-from shepherd_ros.nodes.runtime import run
+from shepherd_ros.ros.node import OK, ShepherdNode, WARN
+from shepherd_ros.ros.runtime import run
+from shepherd_ros.ros.world_subscriber import Listener
 from shepherd_ros.sim.metrics import (
     count_step,
     METRICS,
@@ -19,6 +17,8 @@ from shepherd_ros.sim.metrics import (
     start_tally,
 )
 from shepherd_ros.sim.state import WorldState
+from shepherd_ros.wire.encode import encode_number
+from shepherd_ros.wire.episode import Episode
 
 
 class MetricsNode(ShepherdNode):

@@ -18,13 +18,13 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.validate_full_topic_name import validate_full_topic_name
-from shepherd_ros.bags.encode import encode_clock
-from shepherd_ros.bags.metadata import TopicInfo
-from shepherd_ros.bags.qos import Qos
-from shepherd_ros.bags.reader import BagMessage, open_bag
 from shepherd_ros.config import ConfigError
-from shepherd_ros.nodes.base import message_type, OK, ShepherdNode
-from shepherd_ros.nodes.runtime import run
+from shepherd_ros.ros.node import message_type, OK, ShepherdNode
+from shepherd_ros.ros.runtime import run
+from shepherd_ros.rosbag2.metadata import TopicInfo
+from shepherd_ros.rosbag2.qos import Qos
+from shepherd_ros.rosbag2.reader import BagMessage, open_bag
+from shepherd_ros.wire.encode import encode_clock
 from std_srvs.srv import SetBool
 import tyro
 

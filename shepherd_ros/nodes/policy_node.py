@@ -8,18 +8,18 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
-from shepherd_ros.bags.encode import encode_command, encode_twist
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers.policy import action_draws, LearnedConfig, require_same_world
-from shepherd_ros.episode import Episode
-from shepherd_ros.nodes.base import ERROR, OK, ShepherdNode, WARN
-from shepherd_ros.nodes.bus import Output
-from shepherd_ros.nodes.parameters import declare_config
-from shepherd_ros.nodes.runtime import run
-from shepherd_ros.nodes.scan_listener import ScanListener
-from shepherd_ros.policy import pilot
+from shepherd_ros.policy import inference
 from shepherd_ros.policy.checkpoint import load_policy
-from shepherd_ros.policy.pilot import Memory
+from shepherd_ros.policy.inference import Memory
+from shepherd_ros.ros.intra_process import Output
+from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
+from shepherd_ros.ros.parameters import declare_config
+from shepherd_ros.ros.runtime import run
+from shepherd_ros.ros.scan_subscriber import ScanListener
+from shepherd_ros.wire.encode import encode_command, encode_twist
+from shepherd_ros.wire.episode import Episode
 import torch
 from torch import Tensor
 
@@ -74,7 +74,9 @@ class PolicyNode(ShepherdNode):
         ranges = torch.full((team, 3, self.policy.config.lidar.n_rays), torch.inf)
         ranges[..., ::2] = 5.0
         there = torch.ones(team, dtype=torch.bool)
-        pilot.fly(self.policy, lambda: ranges, there, pilot.begin(self.policy, (), team), 1.0)
+        inference.fly(
+            self.policy, lambda: ranges, there, inference.begin(self.policy, (), team), 1.0
+        )
 
     def _on_episode(self, message: Any) -> None:
         try:
@@ -116,7 +118,7 @@ class PolicyNode(ShepherdNode):
             return
         if self.last is None or ns != self.last[0]:
             if self.last is None or ns < self.last[0]:
-                self.memory = pilot.begin(self.policy, (), len(self.present))
+                self.memory = inference.begin(self.policy, (), len(self.present))
                 shape = (len(self.present), 3, self.policy.config.lidar.n_rays)
                 self.newest = torch.full(shape, torch.inf)
             self.last = (ns, self._decide(ns, ranges, episode))
@@ -137,7 +139,7 @@ class PolicyNode(ShepherdNode):
             return action_draws(seed, step, episode.n_shepherds)[self.present]
 
         self.newest = newest
-        command, self.memory = pilot.fly(
+        command, self.memory = inference.fly(
             self.policy,
             lambda: newest,
             torch.ones_like(there),

@@ -12,15 +12,15 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
-from shepherd_ros.bags.contract import known
-from shepherd_ros.bags.decode import decode_clock, decode_string
-from shepherd_ros.bags.errors import BagError
-from shepherd_ros.bags.grouping import EpisodeInfo
-from shepherd_ros.bags.writer import BagWriter, LOST_KEY
-from shepherd_ros.nodes.base import ERROR, OK, ShepherdNode, WARN
-from shepherd_ros.nodes.intake import Intake
 from shepherd_ros.nodes.recorder_options import RecorderOptions
-from shepherd_ros.nodes.runtime import run
+from shepherd_ros.nodes.recorder_subscriptions import Intake
+from shepherd_ros.recordings.grouping import EpisodeInfo
+from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
+from shepherd_ros.ros.runtime import run
+from shepherd_ros.rosbag2.errors import BagError
+from shepherd_ros.rosbag2.writer import BagWriter, LOST_KEY
+from shepherd_ros.wire.contract import known
+from shepherd_ros.wire.decode import decode_clock, decode_string
 from std_srvs.srv import Trigger
 
 TAKE_PERIOD = 0.02  # [s] between two looks for messages

@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.validate_full_topic_name import validate_full_topic_name
-from shepherd_ros.bags.contract import known
 from shepherd_ros.config import ConfigError
+from shepherd_ros.wire.contract import known
 import tyro
 
 

@@ -12,7 +12,7 @@ from safetensors.torch import save_file
 from shepherd_ros import __version__
 from shepherd_ros.config import ConfigError
 from shepherd_ros.policy.policy import Policy, PolicyConfig
-from shepherd_ros.share import share_file
+from shepherd_ros.resources import share_file
 import torch
 
 FORMAT = 'shepherd_ros policy 1'

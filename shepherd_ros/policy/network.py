@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import math
 
 from shepherd_ros.config import Config, ConfigError, option
-from shepherd_ros.policy.pooling import WINDOW
-from shepherd_ros.policy.stages import first_stage, plain_stage, second_stage
+from shepherd_ros.policy.fast_conv import first_stage, plain_stage, second_stage, WINDOW
 import torch
 from torch import nn, Tensor
 from torch.nn import functional

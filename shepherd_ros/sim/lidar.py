@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import math
 
 from shepherd_ros.config import Config, option
-from shepherd_ros.sim.kernels import usable
-from shepherd_ros.sim.kernels.fused import fused, fusible
-from shepherd_ros.sim.kernels.lidar import scan_discs
-from shepherd_ros.sim.noise import normal, Stream, uniform
+from shepherd_ros.sim.compiled import usable
+from shepherd_ros.sim.fused import fused, fusible
+from shepherd_ros.sim.lidar_compiled import scan_discs
+from shepherd_ros.sim.rng import normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor

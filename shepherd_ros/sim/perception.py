@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from shepherd_ros.sim.noise import normal, Stream
+from shepherd_ros.sim.rng import normal, Stream
 from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from shepherd_ros.sim.flocking import model_of
-from shepherd_ros.sim.noise import direction, normal, Stream, uniform
+from shepherd_ros.sim.rng import direction, normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
 import torch

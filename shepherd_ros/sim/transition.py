@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from shepherd_ros.sim import transition_compiled as compiled
+from shepherd_ros.sim.compiled import usable as compilable
 from shepherd_ros.sim.flocking import model_of
-from shepherd_ros.sim.kernels import shepherds as compiled
-from shepherd_ros.sim.kernels import usable as compilable
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import clip_norm
 from shepherd_ros.sim.world import WorldConfig

@@ -11,7 +11,7 @@ from reference import state_of
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.controllers.base import Memory
-from shepherd_ros.controllers.stance import middle_of_ring, midway
+from shepherd_ros.controllers.formation import middle_of_ring, midway
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.reward import distance_to_rim
 from shepherd_ros.sim.spawn import spawn

@@ -9,7 +9,7 @@ import pytest
 from reference import assert_near, batch, make_state, padded
 from shepherd_ros.controllers import controller_type, CONTROLLERS, make_controller
 from shepherd_ros.controllers.base import Controller, places_on_arc
-from shepherd_ros.sim.noise import direction, Stream
+from shepherd_ros.sim.rng import direction, Stream
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import step
 from shepherd_ros.sim.world import WorldConfig

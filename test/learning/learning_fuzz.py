@@ -32,7 +32,7 @@ from pyarrow import parquet
 from shepherd_ros.cli import UserError
 from shepherd_ros.cli.checkpoint import Info
 from shepherd_ros.config import ConfigError
-from shepherd_ros.learning.dataset import look_at
+from shepherd_ros.datasets.examples import look_at
 from shepherd_ros.sim.observation import ObservationConfig
 import torch
 

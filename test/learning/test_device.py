@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from shepherd_ros.learning.judge import judge
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.train_ppo import PPORunConfig, Training
-from shepherd_ros.policy import pooling
+from shepherd_ros.learning.validation import judge
+from shepherd_ros.policy import fast_conv
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
-from shepherd_ros.sim import kernels
+from shepherd_ros.sim import compiled
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import ObservationConfig
 import torch
@@ -20,8 +20,8 @@ def test_nothing_is_made_on_the_default_device(
     flock: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # compiled forms are for the CPU alone; a GPU takes the plain ones
-    monkeypatch.setattr(kernels, 'AVAILABLE', False)
-    monkeypatch.setattr(pooling, 'AVAILABLE', False)
+    monkeypatch.setattr(compiled, 'AVAILABLE', False)
+    monkeypatch.setattr(fast_conv, 'AVAILABLE', False)
     policy = Policy(
         PolicyConfig(
             repeat=2,

@@ -7,25 +7,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shepherd_ros.bags.episodes import Episode, iter_episodes
-from shepherd_ros.bags.reader import open_bag
-from shepherd_ros.bags.steps import steps_of
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import make_controller
-from shepherd_ros.evaluation.record import record_episodes
-from shepherd_ros.learning.clone import CloneConfig, Cloner, Examples
-from shepherd_ros.learning.dagger import DaggerConfig, Lesson
-from shepherd_ros.learning.dataset import (
+from shepherd_ros.datasets.examples import (
     bag_folders,
     EpisodeExamples,
     examples_of,
     require_fit,
     stream_examples,
 )
-from shepherd_ros.learning.report import Report
+from shepherd_ros.datasets.report import Report
+from shepherd_ros.datasets.steps import steps_of
+from shepherd_ros.learning.clone import CloneConfig, Cloner, Examples
+from shepherd_ros.learning.dagger import DaggerConfig, Lesson
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
+from shepherd_ros.recordings.episodes import Episode, iter_episodes
+from shepherd_ros.recordings.record import record_episodes
+from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
 from shepherd_ros.sim.observation import ObservationConfig, turned
 from shepherd_ros.sim.vectors import clip_norm

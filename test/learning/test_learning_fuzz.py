@@ -10,9 +10,9 @@ import subprocess
 import sys
 import tempfile
 
-from bags.tiny import tiny_bag
 import pytest
-from shepherd_ros.learning.dataset import build_dataset
+from rosbag2.tiny import tiny_bag
+from shepherd_ros.datasets.examples import build_dataset
 from shepherd_ros.policy.checkpoint import save_policy
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig

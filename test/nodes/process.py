@@ -41,8 +41,8 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from shepherd_ros.controllers import make_controller
-from shepherd_ros.nodes.base import nanoseconds, ShepherdNode, stamp
 from shepherd_ros.nodes.compose import NODES
+from shepherd_ros.ros.node import nanoseconds, ShepherdNode, stamp
 from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
 from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.presets import world_preset

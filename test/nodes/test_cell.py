@@ -6,8 +6,8 @@ from itertools import groupby
 
 from nodes.process import Graph
 import pytest
-from shepherd_ros.evaluation.cells import Cell, run_cell
-from shepherd_ros.evaluation.setting import Setting
+from shepherd_ros.experiments.cells import Cell, run_cell
+from shepherd_ros.experiments.setting import Setting
 from shepherd_ros.sim.metrics import METRICS
 from std_msgs.msg import Float64
 

@@ -13,12 +13,12 @@ from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from shepherd_ros.controllers.strombom import StrombomConfig
-from shepherd_ros.nodes.base import message_type, quality
+from shepherd_ros.ros.node import message_type, quality
 from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.presets import world_preset
 from shepherd_ros.sim.world import SpawnConfig, WorldConfig
-from shepherd_ros.topics import contract
+from shepherd_ros.wire.topics import contract
 
 TOPICS, PROFILES = contract()
 OF_ROS = {'/rosout', '/parameter_events', '/tf'}  # /tf where tf2_msgs is installed

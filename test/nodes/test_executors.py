@@ -9,9 +9,9 @@ from typing import Any
 
 from nodes.process import DEADLINE, Graph, words_of
 import pytest
-from shepherd_ros.nodes.base import EXECUTORS, ShepherdNode
 from shepherd_ros.nodes.compose import NODES
-from shepherd_ros.nodes.runtime import spin
+from shepherd_ros.ros.node import EXECUTORS, ShepherdNode
+from shepherd_ros.ros.runtime import spin
 
 
 @contextmanager

@@ -9,10 +9,10 @@ from typing import Any
 
 from nodes.process import assert_same_states, Graph, LATCHED, Process, rollout, Track
 import pytest
-from shepherd_ros.episode import Episode
 from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.lidar import CHANNELS
 from shepherd_ros.sim.world import WorldConfig
+from shepherd_ros.wire.episode import Episode
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 

@@ -16,8 +16,22 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import LaserScan
-from shepherd_ros.bags import encode
-from shepherd_ros.bags.encode import (
+from shepherd_ros.config import ConfigError
+from shepherd_ros.nodes.pending_commands import CommandBuffer
+from shepherd_ros.ros.messages import (
+    decode_command,
+    decode_poses,
+    decode_stamp,
+    decode_twist,
+)
+from shepherd_ros.ros.node import nanoseconds, stamp
+from shepherd_ros.ros.parameters import checked, descriptor
+from shepherd_ros.sim.flocking import FLOCK_MODELS
+from shepherd_ros.sim.lidar import TOUCHING
+from shepherd_ros.sim.presets import PRESETS, training_world, world_preset
+from shepherd_ros.sim.vectors import from_bearing
+from shepherd_ros.wire import encode
+from shepherd_ros.wire.encode import (
     encode_clock,
     encode_command,
     encode_goal,
@@ -26,21 +40,7 @@ from shepherd_ros.bags.encode import (
     encode_text,
     encode_twist,
 )
-from shepherd_ros.config import ConfigError
-from shepherd_ros.episode import Episode
-from shepherd_ros.nodes.base import nanoseconds, stamp
-from shepherd_ros.nodes.commands import CommandBuffer
-from shepherd_ros.nodes.messages import (
-    decode_command,
-    decode_poses,
-    decode_stamp,
-    decode_twist,
-)
-from shepherd_ros.nodes.parameters import checked, descriptor
-from shepherd_ros.sim.flocking import FLOCK_MODELS
-from shepherd_ros.sim.lidar import TOUCHING
-from shepherd_ros.sim.presets import PRESETS, training_world, world_preset
-from shepherd_ros.sim.vectors import from_bearing
+from shepherd_ros.wire.episode import Episode
 from std_msgs.msg import Float64, String
 import torch
 from torch import Tensor

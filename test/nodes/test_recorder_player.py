@@ -14,19 +14,6 @@ from signal import SIGCONT, SIGKILL, SIGSTOP
 import time
 from typing import Any
 
-from bags.tiny import (
-    cdr,
-    LOG_START_NS,
-    make,
-    pose,
-    poses,
-    recording,
-    scan_of,
-    Sent,
-    tiny_bag,
-    write,
-)
-from bags.tiny import twist as tiny_twist
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseArray, PoseStamped, Twist
 from hypothesis import given
@@ -39,28 +26,41 @@ import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from rosbag2.tiny import (
+    cdr,
+    LOG_START_NS,
+    make,
+    pose,
+    poses,
+    recording,
+    scan_of,
+    Sent,
+    tiny_bag,
+    write,
+)
+from rosbag2.tiny import twist as tiny_twist
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import LaserScan
 from shepherd_ros import __version__
-from shepherd_ros.bags.check import check_bag
-from shepherd_ros.bags.contract import contract_hash
-from shepherd_ros.bags.decode import decode_string
-from shepherd_ros.bags.diff import diff_bags
-from shepherd_ros.bags.episodes import iter_episodes
-from shepherd_ros.bags.qos import Qos
-from shepherd_ros.bags.reader import Bag, open_bag
-from shepherd_ros.bags.writer import (
+from shepherd_ros.cli import main
+from shepherd_ros.nodes.recorder_losses import Losses
+from shepherd_ros.recordings.check import check_bag
+from shepherd_ros.recordings.episodes import iter_episodes
+from shepherd_ros.rosbag2.diff import diff_bags
+from shepherd_ros.rosbag2.qos import Qos
+from shepherd_ros.rosbag2.reader import Bag, open_bag
+from shepherd_ros.rosbag2.writer import (
     BagWriter,
     CONTRACT_KEY,
     EPISODE_KEY,
     LOST_KEY,
     VERSION_KEY,
 )
-from shepherd_ros.cli import main
-from shepherd_ros.nodes.losses import Losses
 from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.presets import world_preset
+from shepherd_ros.wire.contract import contract_hash
+from shepherd_ros.wire.decode import decode_string
 from std_msgs.msg import Float64, Int32, String
 from std_srvs.srv import SetBool, Trigger
 

@@ -11,15 +11,15 @@ from pathlib import Path
 from nodes.process import Graph
 import numpy as np
 import pytest
-from shepherd_ros.bags.check import check_bag
-from shepherd_ros.bags.diff import diff_bags
-from shepherd_ros.bags.episodes import iter_episodes
-from shepherd_ros.bags.reader import open_bag
 from shepherd_ros.cli import main
 from shepherd_ros.controllers import make_controller
-from shepherd_ros.evaluation.counterfactual import record_future
-from shepherd_ros.evaluation.record import episode_folder, record_episodes
-from shepherd_ros.nodes import questioner
+from shepherd_ros.nodes import controller_probe
+from shepherd_ros.recordings.check import check_bag
+from shepherd_ros.recordings.counterfactual import record_future
+from shepherd_ros.recordings.episodes import iter_episodes
+from shepherd_ros.recordings.record import episode_folder, record_episodes
+from shepherd_ros.rosbag2.diff import diff_bags
+from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.presets import world_preset
@@ -176,7 +176,7 @@ def test_node_and_law_differ_from_the_recording_in_the_same_way(
 def test_a_shepherd_that_is_not_answered_for_is_missing(
     pure: Path, monkeypatch: pytest.MonkeyPatch, shepherd: Callable[..., Said]
 ) -> None:
-    monkeypatch.setattr(questioner, 'PATIENCE', 10.0)
+    monkeypatch.setattr(controller_probe, 'PATIENCE', 10.0)
     words = ['--controller', 'pierson', '-p', f'noise_std:={NOISE}', 'shepherd_ids:=[1]']
     code, out, _ = shepherd('replay', pure, *words)
     assert code == 1
@@ -198,7 +198,7 @@ def test_a_controller_that_is_silent_has_said_nothing(
     pure: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shepherd: Callable[..., Said]
 ) -> None:
     monkeypatch.setenv('PATH', str(tmp_path), prepend=':')
-    monkeypatch.setattr(questioner, 'PATIENCE', 0.5)
+    monkeypatch.setattr(controller_probe, 'PATIENCE', 0.5)
     code, out, _ = shepherd('replay', pure, '--controller', script(tmp_path, 'exec sleep 60'))
     assert code == 1
     place = 'episode 0, step 0, stamp 0.500000000 s, shepherd_0: no command from the controller'

@@ -10,10 +10,10 @@ from geometry_msgs.msg import PoseStamped
 from nodes.process import assert_same_states, Graph, LATCHED, nanoseconds, Track
 import pytest
 from shepherd_ros.controllers import make_controller
-from shepherd_ros.episode import Episode
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.transition import step
 from shepherd_ros.sim.world import WorldConfig
+from shepherd_ros.wire.episode import Episode
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 import torch

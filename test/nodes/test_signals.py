@@ -117,7 +117,7 @@ def test_a_freshly_started_python_ends_with_zero_on_two_signals(
 def test_a_signal_that_comes_as_the_interpreter_ends_does_not_change_the_exit_code() -> None:
     code = (
         'import os, sys\n'
-        'from shepherd_ros.nodes.runtime import run, STOPS\n'
+        'from shepherd_ros.ros.runtime import run, STOPS\n'
         'class Last:\n'
         '    def __del__(self, kill=os.kill, me=os.getpid(), stops=STOPS):\n'
         '        for number in stops: kill(me, number)\n'

@@ -6,9 +6,9 @@ from itertools import product
 
 import pytest
 from shepherd_ros.config import ConfigError
+from shepherd_ros.policy.fast_conv import first_stage, plain_stage, second_stage
 from shepherd_ros.policy.network import Actor, Body, Critic, NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
-from shepherd_ros.policy.stages import first_stage, plain_stage, second_stage
 from shepherd_ros.sim.observation import ObservationConfig
 import torch
 from torch import nn, Tensor

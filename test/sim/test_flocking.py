@@ -26,7 +26,7 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.sim.flocking import flock_model, FLOCK_MODELS, model_of
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
-from shepherd_ros.sim.noise import direction, Stream, uniform
+from shepherd_ros.sim.rng import direction, Stream, uniform
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import step, usable
 from shepherd_ros.sim.world import WorldConfig

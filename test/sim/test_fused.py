@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 from reference import batch, make_state
-from shepherd_ros.policy.stages import plain_stage
+from shepherd_ros.policy.fast_conv import plain_stage
+from shepherd_ros.sim import fused as module
 from shepherd_ros.sim.flocking import reynolds, strombom
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
-from shepherd_ros.sim.kernels import fused as module
-from shepherd_ros.sim.kernels.fused import fused
+from shepherd_ros.sim.fused import fused
 from shepherd_ros.sim.lidar import cast_all_rays
 import torch
 

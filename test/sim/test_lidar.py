@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from reference import assert_near, batch, lidar, make_state, moved, padded, state_of, World
 from shepherd_ros.config import ConfigError
-from shepherd_ros.sim import kernels
+from shepherd_ros.sim import compiled
 from shepherd_ros.sim.lidar import cast_rays, CHANNELS, LidarConfig, scan, TOUCHING
 from shepherd_ros.sim.state import WorldState
 import torch
@@ -58,7 +58,7 @@ def test_two_hundred_scenes_are_those_of_every_ray_with_every_disc(
     monkeypatch: pytest.MonkeyPatch, dtype: torch.dtype, form: str
 ) -> None:
     if form == 'as on a GPU':
-        monkeypatch.setattr(kernels, 'AVAILABLE', False)
+        monkeypatch.setattr(compiled, 'AVAILABLE', False)
         monkeypatch.setattr('shepherd_ros.sim.lidar.fusible', lambda tensor: True)
     # left out: rays that pass within `margin` of a disc's edge, ranges so near the greatest range,
     # and sensors so near a rim, where a rounding decides between a range and none

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from shepherd_ros.sim.kernels.nearest import (
+from shepherd_ros.sim.neighbors_compiled import (
     below,
     bound_of,
     break_tie,

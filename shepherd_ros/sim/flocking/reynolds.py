@@ -10,12 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from shepherd_ros.config import option
+from shepherd_ros.sim.compiled import usable
 from shepherd_ros.sim.flocking.base import FlockConfig, FlockModel
+from shepherd_ros.sim.flocking.reynolds_compiled import reynolds_step
 from shepherd_ros.sim.flocking.strombom import offsets
-from shepherd_ros.sim.kernels import usable
-from shepherd_ros.sim.kernels.fused import fused
-from shepherd_ros.sim.kernels.reynolds_flock import reynolds_step
-from shepherd_ros.sim.noise import normal, Stream, uniform
+from shepherd_ros.sim.fused import fused
+from shepherd_ros.sim.rng import normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import clip_norm, EPSILON, from_bearing
 import torch

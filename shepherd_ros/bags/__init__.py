@@ -1,1 +1,0 @@
-"""Bags: MCAP files in the format of rosbag2, without a ROS installation."""

@@ -1,0 +1,140 @@
+"""The controller of controllers.pierson, world by world."""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from shepherd_ros.sim.compiled import compiled, flat
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.vectors import EPSILON
+from shepherd_ros.sim.vectors_compiled import bearing, mean, take_places, wrap
+import torch
+from torch import Tensor
+
+_EPSILON = np.float32(EPSILON)
+_ZERO, _ONE, _TWO = np.float32(0), np.float32(1), np.float32(2)
+_PI, _TURN = np.float32(math.pi), np.float32(2 * math.pi)
+
+
+@compiled
+def _share(opening, team):
+    half = opening / max(_TWO * team - _TWO, _ONE)
+    if half < np.float32(1e-4):
+        return _ONE
+    below = max(team * np.float32(math.sin(half)), np.float32(1e-9))
+    return np.float32(math.sin(team * half)) / below
+
+
+@compiled
+def _opening(share, team):
+    """Return the opening with that share: it falls from 1 to 0, so halves are enough."""
+    low, width = _ZERO, _TURN * (team - _ONE) / team
+    for _ in range(25):
+        width /= _TWO
+        if _share(low + width, team) >= share:
+            low += width
+    return low + width / _TWO
+
+
+@compiled
+def _pierson(
+    sheep, sheep_mask, shepherds, shepherd_mask, goal, heading, sorted_places, lead, gain,
+    max_turn_rate, weakest, strongest, spread_factor, min_radius, max_radius, tracking, pace, dt,
+    top, velocity, new_heading,
+):  # fmt: skip
+    size = shepherds.shape[1]
+    around, place = np.empty(size, np.float32), np.empty(size, np.float32)
+    for b in range(sheep.shape[0]):
+        x, y, count = mean(sheep[b], sheep_mask[b])
+        var_x, var_y = _ZERO, _ZERO
+        for i in range(sheep.shape[1]):
+            if sheep_mask[b, i]:
+                dx, dy = sheep[b, i, 0] - x, sheep[b, i, 1] - y
+                var_x += dx * dx
+                var_y += dy * dy
+        spread = np.float32(math.sqrt(var_x / np.float32(count) + var_y / np.float32(count)))
+        cos, sin = np.float32(math.cos(heading[b])), np.float32(math.sin(heading[b]))
+        ahead_x, ahead_y = x + lead * cos - goal[b, 0], y + lead * sin - goal[b, 1]
+        speed = -gain * (ahead_x * cos + ahead_y * sin)
+        turn_rate = -gain / lead * (ahead_y * cos - ahead_x * sin)
+        turn_rate = min(max(turn_rate, -max_turn_rate), max_turn_rate)
+        way = wrap(heading[b] + turn_rate * dt)
+        new_heading[b] = way
+
+        here = 0
+        for h in range(size):
+            here += shepherd_mask[b, h]
+        team = np.float32(here)
+        share = min(max(speed / pace, weakest), strongest)
+        radius = min(max(spread_factor * spread, min_radius), max_radius)
+        rear, spacing = way + _PI, _ZERO
+        if team == 1:
+            rear = bearing(goal[b, 0] - x, goal[b, 1] - y) + _PI
+        else:
+            spacing = _opening(share, max(team, _TWO)) / max(team - _ONE, _ONE)
+        if sorted_places:
+            for h in range(size):
+                around[h] = wrap(bearing(shepherds[b, h, 0] - x, shepherds[b, h, 1] - y) - rear)
+            take_places(around, spacing, shepherd_mask[b], place)
+        else:
+            for h in range(size):
+                place[h] = (np.float32(h) - (team - _ONE) / _TWO) * spacing
+        for h in range(size):
+            velocity[b, h, 0], velocity[b, h, 1] = _ZERO, _ZERO
+            if shepherd_mask[b, h]:
+                at = rear + place[h]
+                to_x = x + radius * np.float32(math.cos(at)) - shepherds[b, h, 0]
+                to_y = y + radius * np.float32(math.sin(at)) - shepherds[b, h, 1]
+                to_x, to_y = tracking * to_x, tracking * to_y
+                length = np.float32(math.hypot(to_x, to_y))
+                scale = top / max(length, _EPSILON) if length > top else _ONE
+                velocity[b, h, 0], velocity[b, h, 1] = scale * to_x, scale * to_y
+
+
+def pierson_act(
+    seen: WorldState,
+    heading: Tensor,
+    config: Any,
+    max_radius: float,
+    tracking: float,
+    pace: float,
+    dt: float,
+    top: float,
+) -> tuple[Tensor, Tensor]:
+    """Return what controllers.pierson does; pace is the sheep's speed, top the shepherds'."""
+    shepherds, way = flat(seen.shepherds, 2), flat(heading, 0)
+    velocity, new_heading = np.empty_like(shepherds), np.empty_like(way)
+    numbers = (
+        config.lead,
+        config.gain,
+        config.max_turn_rate,
+        config.weakest_push,
+        config.strongest_push,
+        config.spread_factor,
+        config.min_radius,
+        max_radius,
+        tracking,
+        pace,
+        dt,
+        top,
+    )
+    _pierson(
+        flat(seen.sheep, 2),
+        flat(seen.sheep_mask, 1),
+        shepherds,
+        flat(seen.shepherd_mask, 1),
+        flat(seen.goal, 1),
+        way,
+        config.assignment == 'sorted',
+        *(np.float32(number) for number in numbers),
+        velocity,
+        new_heading,
+    )
+    shape = seen.shepherds.shape
+    return (
+        torch.from_numpy(velocity.reshape(shape)),
+        torch.from_numpy(new_heading.reshape(heading.shape)),
+    )

@@ -1,0 +1,163 @@
+"""The controller of controllers.strombom, world by world."""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from shepherd_ros.sim.compiled import compiled, flat
+from shepherd_ros.sim.noise_compiled import direction_at, key_of
+from shepherd_ros.sim.rng import Stream
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.vectors_compiled import bearing, length, mean, take_places, unit, wrap
+import torch
+from torch import Tensor
+
+_CONTROL = int(Stream.CONTROL)
+_ZERO, _ONE, _TWO = np.float32(0), np.float32(1), np.float32(2)
+_PI, _FAR = np.float32(math.pi), np.float32(np.inf)
+
+
+@compiled
+def _strombom_targets(
+    sheep, sheep_mask, shepherds, shepherd_mask, x, y, distance, rear, together, behind, collect,
+    spacing, free, target,
+):  # fmt: skip
+    """Write the place of each shepherd into target (H, 2), and who collects nothing into free."""
+    team, place = shepherds.shape[0], np.empty(shepherds.shape[0], np.float32)
+    for h in range(team):
+        free[h] = shepherd_mask[h]
+    for _ in range(min(team, sheep.shape[0])):
+        stray = 0
+        for i in range(sheep.shape[0]):
+            if distance[i] > distance[stray]:
+                stray = i
+        if not distance[stray] > together:
+            break
+        distance[stray] = -_ONE
+        nearest, way = -1, _FAR
+        for h in range(team):
+            apart = length(shepherds[h, 0] - sheep[stray, 0], shepherds[h, 1] - sheep[stray, 1])
+            if free[h] and apart < way:
+                nearest, way = h, apart
+        if nearest >= 0:
+            free[nearest] = False
+            away_x, away_y = unit(sheep[stray, 0] - x, sheep[stray, 1] - y)
+            target[nearest, 0] = sheep[stray, 0] + collect * away_x
+            target[nearest, 1] = sheep[stray, 1] + collect * away_y
+    around = np.empty(team, np.float32)
+    for h in range(team):
+        around[h] = wrap(bearing(shepherds[h, 0] - x, shepherds[h, 1] - y) - rear)
+    take_places(around, spacing, free, place)
+    for h in range(team):
+        if free[h]:
+            slot = rear + place[h]
+            target[h, 0] = x + behind * np.float32(math.cos(slot))
+            target[h, 1] = y + behind * np.float32(math.sin(slot))
+
+
+@compiled
+def _detour(x, y, d, radius, stride, turn):
+    """Return the way round the flock for a shepherd at x, y from its center, d metres out."""
+    out_x, out_y = unit(x, y)
+    side = -_ONE if turn < 0 else _ONE
+    along_x, along_y = -out_y * side, out_x * side
+    if d < radius - stride:
+        weight = (radius - d) / max(stride, np.float32(1e-9))
+        return unit(along_x + weight * out_x, along_y + weight * out_y)
+    cosine = (d * d + stride * stride - radius * radius) / max(_TWO * d * stride, np.float32(1e-9))
+    cosine = min(max(cosine, -_ONE), _ONE)
+    sine = np.float32(math.sqrt(_ONE - cosine * cosine))
+    return along_x * sine - out_x * cosine, along_y * sine - out_y * cosine
+
+
+@compiled
+def _strombom(
+    seed, step, sheep, sheep_mask, shepherds, shepherd_mask, goal, elfiqi, r, standoff, margin,
+    tolerance, wing_spacing, noise, stop, dt, top, velocity,
+):  # fmt: skip
+    n, team = sheep.shape[1], shepherds.shape[1]
+    distance, free = np.empty(n, np.float32), np.empty(team, np.bool_)
+    target = np.empty((team, 2), np.float32)
+    stride = top * dt
+    for b in range(sheep.shape[0]):
+        x, y, count = mean(sheep[b], sheep_mask[b])
+        size = np.float32(count)
+        radius, here = _ZERO, 0
+        for i in range(n):
+            distance[i] = _ZERO
+            if sheep_mask[b, i]:
+                distance[i] = length(sheep[b, i, 0] - x, sheep[b, i, 1] - y)
+                radius = max(radius, distance[i])
+        radius += margin
+        for h in range(team):
+            here += shepherd_mask[b, h]
+        together, collect = r * np.float32(size ** (2 / 3)), r
+        behind = r * np.float32(math.sqrt(size))
+        if elfiqi:
+            together, collect = r * np.float32(math.sqrt(_TWO * size)), standoff
+            behind = together + standoff
+        spacing = wing_spacing
+        if spacing == 0:
+            spacing = _PI / np.float32(2 * max(here, 1))
+        rear = bearing(x - goal[b, 0], y - goal[b, 1])
+        _strombom_targets(
+            sheep[b], sheep_mask[b], shepherds[b], shepherd_mask[b], x, y, distance, rear,
+            together, behind, collect, spacing, free, target,
+        )  # fmt: skip
+        key = key_of(seed[b], step[b], _CONTROL)
+        for h in range(team):
+            velocity[b, h, 0], velocity[b, h, 1] = _ZERO, _ZERO
+            nearest = _FAR
+            for i in range(n):
+                dx, dy = shepherds[b, h, 0] - sheep[b, i, 0], shepherds[b, h, 1] - sheep[b, i, 1]
+                if sheep_mask[b, i]:
+                    nearest = min(nearest, dx * dx + dy * dy)
+            if not shepherd_mask[b, h] or np.float32(math.sqrt(nearest)) < stop:
+                continue
+            to_x, to_y = target[h, 0] - shepherds[b, h, 0], target[h, 1] - shepherds[b, h, 1]
+            way_x, way_y = unit(to_x, to_y)
+            speed = min(length(to_x, to_y) / dt, top)
+            off_x, off_y = shepherds[b, h, 0] - x, shepherds[b, h, 1] - y
+            turn = wrap(bearing(target[h, 0] - x, target[h, 1] - y) - bearing(off_x, off_y))
+            ahead = length(off_x + speed * dt * way_x, off_y + speed * dt * way_y)
+            if abs(turn) > tolerance and ahead < radius:
+                d = length(off_x, off_y)
+                way_x, way_y = _detour(off_x, off_y, d, radius, stride, turn)
+                speed = top
+            if noise > 0:
+                random_x, random_y = direction_at(key, h)
+                way_x, way_y = unit(way_x + noise * random_x, way_y + noise * random_y)
+            velocity[b, h, 0], velocity[b, h, 1] = speed * way_x, speed * way_y
+
+
+def strombom_act(seen: WorldState, config: Any, r: float, dt: float, top: float) -> Tensor:
+    """Return what controllers.strombom does, r [m] its range, dt [s], top speed [m/s]."""
+    shepherds = flat(seen.shepherds, 2)
+    velocity = np.empty_like(shepherds)
+    numbers = (
+        r,
+        config.standoff,
+        config.arc_margin or 3 * r,
+        config.arc_tolerance,
+        config.wing_spacing,
+        config.noise,
+        config.stop_range * r,
+        dt,
+        top,
+    )
+    _strombom(
+        flat(seen.seed, 0),
+        flat(seen.step, 0),
+        flat(seen.sheep, 2),
+        flat(seen.sheep_mask, 1),
+        shepherds,
+        flat(seen.shepherd_mask, 1),
+        flat(seen.goal, 1),
+        config.position_law == 'elfiqi',
+        *(np.float32(number) for number in numbers),
+        velocity,
+    )
+    return torch.from_numpy(velocity.reshape(seen.shepherds.shape))

@@ -1,0 +1,1 @@
+"""Steps and examples of recordings, and LeRobot data sets."""

@@ -1,0 +1,219 @@
+"""Recordings as examples: what each shepherd saw, and what it was told to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+import random
+
+import numpy as np
+from shepherd_ros.config import ConfigError
+from shepherd_ros.datasets.lerobot_reader import Dataset, is_dataset, open_dataset
+from shepherd_ros.datasets.lerobot_writer import DatasetWriter
+from shepherd_ros.datasets.report import Report
+from shepherd_ros.datasets.steps import Refuse, Steps, steps_of
+from shepherd_ros.policy.policy import Policy, PolicyConfig
+from shepherd_ros.recordings.episodes import iter_episodes
+from shepherd_ros.rosbag2.metadata import FILE
+from shepherd_ros.rosbag2.reader import open_bag
+from shepherd_ros.sim.observation import ObservationConfig, turned
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Source:
+    """A bag, or the part of a data set that was built from it."""
+
+    name: str
+    read: Callable[[Refuse], Iterator[Steps]]  # one episode in memory at a time
+
+
+@dataclass(frozen=True)
+class EpisodeExamples:
+    """The examples of one episode; frames are kept once."""
+
+    lidar: Tensor  # (n, 3, R) m, +inf on free rays
+    rows: Tensor  # (m, K) int64: the frames of each example, oldest first
+    wanted: Tensor  # (m, 2) m/s, world frame
+
+    def __len__(self) -> int:
+        """Return how many examples there are."""
+        return len(self.rows)
+
+    def frames(self) -> Tensor:
+        """Return the stacks of all examples, (m, K, 3, R) m."""
+        return self.lidar[self.rows]
+
+
+def bag_folders(place: Path) -> list[Path]:
+    """
+    Return the bags at a place: a bag itself, or a folder of bags; raises ConfigError.
+
+    Hidden folders are those of runs that were killed, and left out.
+    """
+
+    def is_bag(path: Path) -> bool:
+        return path.suffix == '.mcap' or (path / FILE).exists() or any(path.glob('*.mcap'))
+
+    try:
+        if is_bag(place):
+            return [place]
+        inside = sorted(p for p in place.iterdir() if p.is_dir() and p.name[0] != '.')
+        bags = [path for path in inside if is_bag(path)]
+    except OSError:
+        bags = []
+    if not bags:
+        raise ConfigError(
+            f'{place}: expected a bag, a folder of bags, as shepherd record writes, or a data '
+            'set, as shepherd dataset build writes'
+        )
+    return bags
+
+
+def sources(places: Sequence[Path], labels: str = '') -> list[Source]:
+    """
+    Return the bags at places, which are bags, folders of bags or data sets.
+
+    labels is the namespace of the commands to learn, empty for those that were driven. Raises
+    ConfigError for what is none of them, or was built with other labels.
+    """
+    found = []
+    for place in places:
+        if not is_dataset(place):
+            bags = bag_folders(place)
+            found += [Source(path.name, partial(bag_steps, path, labels)) for path in bags]
+            continue
+        built = open_dataset(place)
+        if built.labels != labels:
+            raise ConfigError(
+                f'{place}: its labels are {built.labels!r}, expected {labels!r}; give --labels '
+                f'{built.labels!r}, or build it with --labels {labels!r}'
+            )
+        for name, part in built.bags():
+            found.append(Source(name, partial(built_steps, built, part)))
+    return found
+
+
+def bag_steps(path: Path, labels: str, refuse: Refuse) -> Iterator[Steps]:
+    """Yield the whole steps of the episodes of a bag; raises ConfigError."""
+    for number, episode in enumerate(iter_episodes(open_bag(path), labels=labels)):
+        yield steps_of(episode, path.name, number, refuse)
+
+
+def built_steps(built: Dataset, part: slice, refuse: Refuse) -> Iterator[Steps]:
+    """Yield the steps of the episodes among some runs of a data set, which are all whole."""
+    return built.steps(part)
+
+
+def stream_steps(
+    places: Sequence[Path], report: Report, seed: int | None = None, labels: str = ''
+) -> Iterator[tuple[Source, Steps]]:
+    """
+    Yield the whole steps of each episode and where they are from; raises ConfigError.
+
+    One episode is in memory at a time; with a seed, bags come in random order.
+    """
+    found = sources(places, labels)
+    if seed is not None:
+        random.Random(seed).shuffle(found)
+    for source in found:
+        report.bags += 1
+        for steps in source.read(report.refuse):
+            report.see(steps)
+            yield source, steps
+
+
+def examples_of(
+    steps: Steps, observation: ObservationConfig, report: Report
+) -> EpisodeExamples | None:
+    """
+    Return the examples of an episode, None if there are none.
+
+    Frames go back to the episode's first state and no farther, as in the environment. Where an
+    earlier frame is of a step that is not whole, the example is dropped and counted.
+    """
+    team = steps.n_shepherds
+    back = observation.spacing * np.arange(observation.n_frames - 1, -1, -1)
+    frame = np.maximum(steps.step[:, None] - back, 0)
+    key = steps.step * team + steps.shepherd  # in order
+    asked = frame * team + steps.shepherd[:, None]
+    rows = np.minimum(np.searchsorted(key, asked), max(len(key) - 1, 0))
+    there = (key[rows] == asked).all(axis=1) if len(key) else np.zeros(0, bool)
+    if not there.all():
+        k = int(np.argmin(there))
+        place = f'{steps.where}, step {steps.step[k]}, shepherd_{steps.shepherd[k]}'
+        report.drop('an earlier frame is missing', place, int((~there).sum()))
+    if not there.any():
+        return None
+    report.examples += int(there.sum())
+    return EpisodeExamples(
+        torch.from_numpy(steps.lidar),
+        torch.from_numpy(rows[there]),
+        torch.from_numpy(steps.action[there]),
+    )
+
+
+def require_fit(steps: Steps, config: PolicyConfig) -> None:
+    """Raise ConfigError if steps were recorded with another time step or lidar."""
+    if steps.dt != config.dt:
+        raise ConfigError(f'{steps.where}: dt is {steps.dt} s, expected {config.dt} s')
+    if len(steps) and steps.n_rays != config.lidar.n_rays:
+        raise ConfigError(
+            f'{steps.where}: scans have {steps.n_rays} rays, expected {config.lidar.n_rays}'
+        )
+
+
+def stream_examples(
+    places: Sequence[Path],
+    policy: Policy,
+    report: Report,
+    seed: int | None = None,
+    labels: str = '',
+) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+    """
+    Yield scaled frames (n, K, 3, R), ray in front (n,), wanted action (n, 2) episode by episode.
+
+    Arguments are those of stream_steps().
+    """
+    for _, steps in stream_steps(places, report, seed, labels):
+        require_fit(steps, policy.config)
+        found = examples_of(steps, policy.config.observation, report)
+        if found is not None:
+            frames = found.frames()
+            first = policy.first_ray(frames[:, -1])
+            wanted = turned(found.wanted, -first, frames.shape[-1])
+            yield policy.scaled(frames), first, wanted
+
+
+def look_at(places: Sequence[Path], observation: ObservationConfig, labels: str = '') -> Report:
+    """Return what is found at places, and how many examples with such frames."""
+    report = Report()
+    for _, steps in stream_steps(places, report, labels=labels):
+        examples_of(steps, observation, report)
+    return report
+
+
+def build_dataset(
+    places: Sequence[Path], folder: Path, observation: ObservationConfig, labels: str = ''
+) -> Report:
+    """
+    Write the whole steps at places as a data set into a new folder; return what was found.
+
+    Any frames can be taken from it later; the report counts examples with those of observation.
+    Raises ConfigError, and leaves no folder then.
+    """
+    report, source = Report(), None
+    with DatasetWriter(folder, labels) as writer:
+        for now, steps in stream_steps(places, report, labels=labels):
+            if now is not source:
+                writer.begin_bag(now.name)
+                source = now
+            writer.add(steps)
+            examples_of(steps, observation, report)
+        if not writer.rows:
+            raise ConfigError(f'no step of the bags can be learned from:\n{report.text()}')
+        writer.close(report.to_dict())
+    return report

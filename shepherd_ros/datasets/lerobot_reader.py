@@ -1,0 +1,246 @@
+"""Reads the data sets that DatasetWriter writes; whatever is wrong with one is a BagError."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]
+from pyarrow import parquet
+from shepherd_ros.datasets.lerobot_writer import (
+    ABOUT,
+    ACTION,
+    CHUNK_SIZE,
+    DATA,
+    EPISODES,
+    FORMAT,
+    INFO,
+    LIDAR,
+    NUMBERS,
+)
+from shepherd_ros.datasets.steps import Steps
+from shepherd_ros.recordings.grouping import LARGEST_SHEEP, LARGEST_SHEPHERDS, LARGEST_STEPS
+from shepherd_ros.rosbag2.errors import BagError
+from shepherd_ros.wire.contract import CHANNELS
+
+FIX = 'build it again with `shepherd dataset build`'
+LARGEST_NOTE = 16 << 20  # [bytes] of a JSON file
+LARGEST_RUNS = 1_000_000
+LARGEST_FILE = 4 << 30  # [bytes] of Parquet
+LARGEST_RAYS = 65_536
+SIDES: tuple[Literal['left', 'right'], ...] = ('left', 'right')
+LIMITS = {  # lowest and highest number in columns of meta/episodes
+    'length': (1, LARGEST_STEPS), 'data/chunk_index': (0, 10**6), 'data/file_index': (0, 999),
+    'bag_index': (0, LARGEST_RUNS), 'recorded_episode': (0, 2**62),
+    'n_sheep': (1, LARGEST_SHEEP), 'n_shepherds': (1, LARGEST_SHEPHERDS),
+    'shepherd': (0, LARGEST_SHEPHERDS - 1), 'first_step': (0, LARGEST_STEPS),
+}  # fmt: skip
+
+
+def is_dataset(folder: Path) -> bool:
+    """Return whether a folder seems to be a data set of LeRobot's form."""
+    return (folder / INFO).is_file()
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A data set on the disk; no file stays open."""
+
+    folder: Path
+    dt: float  # s
+    n_rays: int
+    labels: str  # namespace of the commands
+    runs: dict[str, np.ndarray]  # columns (E,) of meta/episodes
+    names: list[str]  # of the bag of each run
+
+    @cached_property
+    def files(self) -> np.ndarray:
+        """Return the number of the data file of each run, (E,)."""
+        return self.runs['data/chunk_index'] * CHUNK_SIZE + self.runs['data/file_index']
+
+    def bags(self) -> list[tuple[str, slice]]:
+        """Return name and runs of each bag that it was built from."""
+        return [(self.names[part.start], part) for part in _parts(self.runs['bag_index'])]
+
+    def steps(self, part: slice) -> Iterator[Steps]:
+        """Yield the episodes among some runs, one in memory at a time; raises BagError."""
+        for inner in _parts(self.runs['recorded_episode'][part]):
+            yield self._episode(range(part.start + inner.start, part.start + inner.stop))
+
+    def _episode(self, chosen: range) -> Steps:
+        """Return the steps of the runs of one recorded episode."""
+        tables = [table for part in self._files(chosen) for table in self._read(part)]
+        row = {name: int(values[chosen.start]) for name, values in self.runs.items()}
+        lengths = self.runs['length'][chosen.start : chosen.stop]
+        shepherd = np.repeat(self.runs['shepherd'][chosen.start : chosen.stop], lengths)
+        first = self.runs['first_step'][chosen.start : chosen.stop]
+        step = np.concatenate([s + np.arange(n) for s, n in zip(first, lengths, strict=True)])
+        order = np.lexsort((shepherd, step))
+        key = (step * LARGEST_SHEPHERDS + shepherd)[order]
+        name = self.names[chosen.start]
+        if (np.diff(key) <= 0).any() or shepherd.max() >= row['n_shepherds']:
+            what = f'{name}:{row["recorded_episode"]} has a step twice, or too many shepherds'
+            raise BagError(self.folder / EPISODES, what, FIX)
+        return Steps(
+            bag=name,
+            episode=row['recorded_episode'],
+            seed=row['seed'],
+            n_sheep=row['n_sheep'],
+            n_shepherds=row['n_shepherds'],
+            dt=self.dt,
+            step=step[order],
+            shepherd=shepherd[order],
+            lidar=np.concatenate([lidar for lidar, _ in tables])[order],
+            action=np.concatenate([action for _, action in tables])[order],
+        )
+
+    def _files(self, chosen: range) -> Iterator[range]:
+        """Yield those of some runs that are in one file."""
+        for part in _parts(self.files[chosen.start : chosen.stop]):
+            yield range(chosen.start + part.start, chosen.start + part.stop)
+
+    def _read(self, chosen: range) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield scans (n, 3, R) m and actions (n, 2) m/s of runs in one file, in row groups."""
+        number = self.files[chosen.start]
+        chunk, file = divmod(int(number), CHUNK_SIZE)
+        path = self.folder / DATA.format(chunk_index=chunk, file_index=file)
+        begin, end = (int(np.searchsorted(self.files, number, side)) for side in SIDES)
+        with _open(path) as source:
+            if source.metadata.num_row_groups != end - begin:
+                what = f'{source.metadata.num_row_groups} row groups, expected {end - begin}'
+                raise BagError(path, what, FIX)
+            for k in chosen:
+                yield self._run(source, path, k, k - begin)
+
+    def _run(self, source: Any, path: Path, k: int, place: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return scans and actions of a run, which is a row group."""
+        count = int(self.runs['length'][k])
+        if source.metadata.row_group(place).num_rows != count:
+            what = f'row group {place} has not the {count} rows that {EPISODES} tells of'
+            raise BagError(path, what, FIX)
+        names = [LIDAR, ACTION, 'episode_index', 'frame_index']
+        table = source.read_row_group(place, names, use_threads=False)
+        lidar = _floats(table[LIDAR], (count, len(CHANNELS), self.n_rays), path)
+        action = _floats(table[ACTION], (count, 2), path)
+        numbers = [_numbers(table[name], path) for name in names[2:]]
+        if np.isnan(lidar).any() or not np.isfinite(action).all():
+            what = f'row group {place} has NaN, or an action that is not finite'
+            raise BagError(path, what, FIX)
+        if (numbers[0] != k).any() or not np.array_equal(numbers[1], np.arange(count)):
+            raise BagError(path, f'row group {place} is not that of episode {k}', FIX)
+        return lidar, action
+
+
+def open_dataset(folder: Path) -> Dataset:
+    """Return the data set in a folder; raises BagError."""
+    about = _about(folder)
+    path = folder / EPISODES
+    with _open(path, ('bag',)) as source:
+        if source.metadata.num_rows > LARGEST_RUNS:
+            raise BagError(path, f'it has more than {LARGEST_RUNS} rows', FIX)
+        table = source.read([*NUMBERS, 'bag'], use_threads=False)
+        runs = {name: _numbers(table[name], path) for name in NUMBERS}
+        names = table['bag'].combine_chunks()
+        if not isinstance(names, pa.DictionaryArray) or names.null_count:
+            raise BagError(path, 'column bag is no text', FIX)
+        known = [str(name) for name in names.dictionary.to_pylist()]
+        bags = [known[k] for k in names.indices.to_pylist()]
+    for name, (low, high) in LIMITS.items():
+        odd = (runs[name] < low) | (runs[name] > high)
+        if odd.any():
+            value = runs[name][odd][0]
+            raise BagError(path, f'{name} is {value}, expected {low} to {high}', FIX)
+    count = np.arange(len(bags))
+    ends = np.cumsum(runs['length'])
+    found = Dataset(folder, about['dt'], about['n_rays'], about['labels'], runs, bags)
+    if not (
+        (np.diff(found.files) >= 0).all()
+        and np.array_equal(runs['episode_index'], count)
+        and np.array_equal(runs['dataset_to_index'], ends)
+        and np.array_equal(runs['dataset_from_index'], ends - runs['length'])
+    ):
+        raise BagError(path, 'its episodes are not in order, or some are missing', FIX)
+    return found
+
+
+def _about(folder: Path) -> dict[str, Any]:
+    """Return what meta/shepherd_ros.json says; raises BagError."""
+    path = folder / ABOUT
+    if not path.is_file():
+        raise BagError(folder, f'{ABOUT} is not there, so it is no data set of ours', FIX)
+    try:
+        with path.open('rb') as file:
+            about = json.loads(file.read(LARGEST_NOTE).decode())
+    except (OSError, ValueError, RecursionError) as error:
+        raise BagError(path, f'it cannot be read ({error!r:.200})', FIX) from error
+    if not isinstance(about, dict) or about.get('format') != FORMAT:
+        raise BagError(path, f'it does not begin with format {FORMAT!r}', FIX)
+    dt, rays, labels = (about.get(name) for name in ('dt', 'n_rays', 'labels'))
+    if not (isinstance(dt, float) and 0 <= dt <= 10 and isinstance(labels, str)):
+        raise BagError(path, f'dt is {dt!r:.40} s and labels {labels!r:.40}', FIX)
+    if not (isinstance(rays, int) and 0 <= rays <= LARGEST_RAYS):
+        raise BagError(path, f'n_rays is {rays!r:.40}, expected 0 to {LARGEST_RAYS}', FIX)
+    return about
+
+
+@contextmanager
+def _open(path: Path, texts: tuple[str, ...] = ()) -> Iterator[Any]:
+    """Lend a Parquet file; whatever Arrow says of it becomes a BagError."""
+    if not path.is_file():
+        raise BagError(path, 'it is not there', FIX)
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise BagError(path, f'it has more than {LARGEST_FILE} bytes', FIX)
+        with parquet.ParquetFile(
+            path,
+            read_dictionary=list(texts),
+            pre_buffer=False,
+            page_checksum_verification=True,
+            thrift_string_size_limit=1 << 20,
+            thrift_container_size_limit=1 << 20,
+        ) as source:
+            yield source
+    except BagError:
+        raise
+    except (pa.ArrowException, LookupError, OSError, TypeError, ValueError) as error:
+        raise BagError(path, f'it cannot be read ({str(error)[:200]!r})', FIX) from error
+
+
+def _floats(column: Any, shape: tuple[int, ...], path: Path) -> np.ndarray:
+    """Return nested lists of floats as an array of a shape; raises BagError."""
+    values = column.combine_chunks()
+    for size in shape[1:]:
+        nested = pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type)
+        if not nested or values.null_count:
+            raise BagError(path, f'a column of type {values.type} for {shape}', FIX)
+        lengths = np.diff(np.asarray(values.offsets)) if pa.types.is_list(values.type) else None
+        if lengths is not None and (lengths != size).any():
+            raise BagError(path, f'lists that are not of {size} numbers', FIX)
+        values = values.flatten()
+    if values.type != pa.float32() or values.null_count or len(values) != np.prod(shape):
+        what = f'{len(values)} numbers of type {values.type}, expected floats of shape {shape}'
+        raise BagError(path, what, FIX)
+    return values.to_numpy(zero_copy_only=False).reshape(shape)
+
+
+def _numbers(column: Any, path: Path) -> np.ndarray:
+    """Return a column of whole numbers (n,); raises BagError."""
+    if column.type != pa.int64() or column.null_count:
+        raise BagError(path, f'a column of type {column.type} or with holes', FIX)
+    return column.to_numpy()
+
+
+def _parts(values: np.ndarray) -> Iterator[slice]:
+    """Yield the slices in which values (E,) are equal."""
+    edges = np.nonzero(np.diff(values))[0] + 1
+    bounds = [0, *edges.tolist(), len(values)]
+    for a, b in pairwise(bounds):
+        if b > a:
+            yield slice(a, b)

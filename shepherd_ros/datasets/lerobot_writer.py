@@ -1,0 +1,259 @@
+"""
+Writes whole steps as a data set in Parquet, with the folders and columns of LeRobot 3.0.
+
+A row is a step of one shepherd, a LeRobot episode a run of steps without a hole. What LeRobot has
+no place for is in columns of our own in meta/episodes, and in meta/shepherd_ros.json.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+import json
+from pathlib import Path
+import shutil
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]
+from pyarrow import parquet
+from shepherd_ros import __version__
+from shepherd_ros.datasets.running_stats import Spread
+from shepherd_ros.datasets.steps import Steps
+from shepherd_ros.rosbag2.errors import BagError
+from shepherd_ros.wire.contract import CHANNELS
+
+FORMAT = 'shepherd_ros data set 1'
+DATA = 'data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet'
+EPISODES = 'meta/episodes/chunk-000/file-000.parquet'
+INFO, ABOUT, STATS, TASKS = (
+    f'meta/{name}' for name in ('info.json', 'shepherd_ros.json', 'stats.json', 'tasks.parquet')
+)
+FILE_SIZE = 100  # [MiB] after which a data file is full
+CHUNK_SIZE = 1000  # files of a folder
+TASK = 'herd the flock into the goal'
+LIDAR, ACTION = 'observation.lidar', 'action'
+_LONG = pa.int64()
+ROWS = pa.schema(
+    [(LIDAR, pa.list_(pa.list_(pa.float32()))), (ACTION, pa.list_(pa.float32(), 2)),
+     ('timestamp', pa.float32()), ('frame_index', _LONG), ('episode_index', _LONG),
+     ('index', _LONG), ('task_index', _LONG)]
+)  # fmt: skip
+INDEXED_BY_TASK = {  # what pandas, with which LeRobot reads it, has to be told
+    'index_columns': ['task'],
+    'column_indexes': [],
+    'columns': [
+        {
+            'name': name,
+            'field_name': name,
+            'pandas_type': kind,
+            'numpy_type': numpy_type,
+            'metadata': None,
+        }
+        for name, kind, numpy_type in (
+            ('task_index', 'int64', 'int64'),
+            ('task', 'unicode', 'object'),
+        )
+    ],
+}
+NUMBERS = (
+    'episode_index', 'length', 'dataset_from_index', 'dataset_to_index', 'data/chunk_index',
+    'data/file_index', 'meta/episodes/chunk_index', 'meta/episodes/file_index', 'bag_index',
+    'recorded_episode', 'seed', 'n_sheep', 'n_shepherds', 'shepherd', 'first_step',
+)  # fmt: skip
+RUNS = pa.schema(
+    [*((name, _LONG) for name in NUMBERS), ('tasks', pa.list_(pa.string())), ('bag', pa.string())]
+)
+
+
+class DatasetWriter:
+    """A data set that is being written; it appears under its name when it is whole."""
+
+    def __init__(self, folder: Path, labels: str = '', file_size: int = FILE_SIZE << 20) -> None:
+        """
+        Make the folder; raises BagError if it is there.
+
+        labels is the namespace of the commands, file_size [bytes] fills a file.
+        """
+        if folder.exists():
+            raise BagError(folder, 'it exists already', 'choose another folder or remove this one')
+        self.folder, self.labels, self.file_size = folder, labels, file_size
+        self.part = folder.with_name(f'.{folder.name}.part')
+        self.dt, self.n_rays = 0.0, 0
+        self.rows, self.runs, self.files, self.bags = 0, 0, 0, 0
+        self._bag = ''
+        self._in_file = 0  # [bytes]
+        self._data: Any = None
+        self._kept: list[dict[str, Any]] = []  # of meta/episodes, not written yet
+        self._ranges, self._actions = Spread(len(CHANNELS)), Spread(2)
+        try:
+            shutil.rmtree(self.part, ignore_errors=True)
+            (self.part / EPISODES).parent.mkdir(parents=True)
+            self._episodes = parquet.ParquetWriter(self.part / EPISODES, RUNS, compression='zstd')
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def __enter__(self) -> DatasetWriter:
+        """Return the writer."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Remove what is not finished."""
+        if self.part.exists():
+            for writer in (self._data, self._episodes):
+                if writer is not None:
+                    writer.close()
+            shutil.rmtree(self.part, ignore_errors=True)
+
+    def begin_bag(self, name: str) -> None:
+        """Say which bag the next steps are from."""
+        self._bag, self.bags = name, self.bags + 1
+
+    def add(self, steps: Steps) -> None:
+        """Write the steps of an episode; raises BagError."""
+        if not len(steps):
+            return
+        if not self.rows:
+            self.dt, self.n_rays = steps.dt, steps.n_rays
+        if (steps.dt, steps.n_rays) != (self.dt, self.n_rays):
+            raise BagError(
+                steps.where,
+                f'dt is {steps.dt} s and a scan has {steps.n_rays} rays, '
+                f'expected {self.dt} s and {self.n_rays} as in the bags before',
+                'build a data set of each kind',
+            )
+        self._ranges.add(steps.lidar.swapaxes(1, 2).reshape(-1, len(CHANNELS)))
+        self._actions.add(steps.action)
+        try:
+            for chosen in runs(steps):
+                self._add_run(steps, chosen)
+            if len(self._kept) >= CHUNK_SIZE:
+                self._flush()
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def close(self, report: Mapping[str, Any]) -> None:
+        """Finish all files and give the folder its name; raises BagError."""
+        try:
+            self._flush()
+            self._episodes.close()
+            self._end_file()
+            self._write_meta(report)
+            self.part.rename(self.folder)
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def _add_run(self, steps: Steps, chosen: np.ndarray) -> None:
+        """Write a run of steps as an episode of LeRobot, which is a row group."""
+        size = len(chosen) * (len(CHANNELS) * self.n_rays + 2) * 4
+        if self._data is not None and self._in_file + size > self.file_size:
+            self._end_file()
+        chunk, file = divmod(self.files, CHUNK_SIZE)
+        if self._data is None:
+            path = self.part / DATA.format(chunk_index=chunk, file_index=file)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._data = parquet.ParquetWriter(
+                path, ROWS, compression='zstd', use_dictionary=False, write_page_checksum=True
+            )
+            self._in_file = 0
+        self._data.write_table(self._table(steps, chosen), row_group_size=len(chosen))
+        self._in_file += size
+        count, first = len(chosen), chosen[0]
+        row = (
+            self.runs, count, self.rows, self.rows + count, chunk, file, 0, 0, self.bags - 1,
+            steps.episode, steps.seed, steps.n_sheep, steps.n_shepherds,
+            int(steps.shepherd[first]), int(steps.step[first]),
+        )  # fmt: skip
+        about = dict(zip(NUMBERS, row, strict=True))
+        self._kept.append(about | {'tasks': [TASK], 'bag': self._bag})
+        self.runs, self.rows = self.runs + 1, self.rows + count
+
+    def _table(self, steps: Steps, chosen: np.ndarray) -> pa.Table:
+        """Return the rows of a run."""
+        n, ends = len(chosen), len(CHANNELS) * len(chosen)
+        values = pa.array(steps.lidar[chosen].ravel())
+        rays = pa.ListArray.from_arrays(
+            pa.array(np.arange(ends + 1, dtype=np.int32) * self.n_rays), values
+        )
+        channels = np.arange(n + 1, dtype=np.int32) * len(CHANNELS)
+        frame = np.arange(n)
+        columns = (
+            pa.ListArray.from_arrays(pa.array(channels), rays),
+            pa.FixedSizeListArray.from_arrays(pa.array(steps.action[chosen].ravel()), 2),
+            (frame * self.dt).astype(np.float32), frame, np.full(n, self.runs),
+            frame + self.rows, np.zeros(n, np.int64),
+        )  # fmt: skip
+        return pa.table(list(columns), schema=ROWS)
+
+    def _flush(self) -> None:
+        """Write the rows of meta/episodes that are kept."""
+        if self._kept:
+            self._episodes.write_table(pa.Table.from_pylist(self._kept, schema=RUNS))
+            self._kept.clear()
+
+    def _end_file(self) -> None:
+        if self._data is not None:
+            self._data.close()
+            self._data, self.files = None, self.files + 1
+
+    def _write_meta(self, report: Mapping[str, Any]) -> None:
+        """Write what says what is in the data set."""
+        rate = 1 / self.dt if self.dt else 0.0
+        info = {
+            'codebase_version': 'v3.0',
+            'robot_type': 'shepherd',
+            'total_episodes': self.runs,
+            'total_frames': self.rows,
+            'total_tasks': 1,
+            'chunks_size': CHUNK_SIZE,
+            'data_files_size_in_mb': FILE_SIZE,
+            'video_files_size_in_mb': 200,
+            'fps': round(rate) if abs(rate - round(rate)) < 1e-9 else rate,
+            'splits': {'train': f'0:{self.runs}'},
+            'data_path': DATA,
+            'video_path': None,
+            'features': self._features(),
+        }
+        about = {
+            'format': FORMAT, 'version': __version__, 'dt': self.dt, 'n_rays': self.n_rays,
+            'labels': self.labels, 'bags': self.bags, 'report': dict(report),
+        }  # fmt: skip
+        ranges = {k: [[x] for x in v] for k, v in self._ranges.to_dict().items()}
+        stats: dict[str, Any] = {LIDAR: ranges, ACTION: self._actions.to_dict()}
+        for name in (LIDAR, ACTION):
+            stats[name]['count'] = [self.rows]
+        for path, content in ((INFO, info), (ABOUT, about), (STATS, stats)):
+            (self.part / path).write_text(json.dumps(content, indent=1), encoding='utf-8')
+        tasks = pa.table({'task_index': pa.array([0], _LONG), 'task': [TASK]})
+        tasks = tasks.replace_schema_metadata({'pandas': json.dumps(INDEXED_BY_TASK)})
+        parquet.write_table(tasks, self.part / TASKS)
+
+    def _features(self) -> dict[str, Any]:
+        """Return what each column is, as LeRobot says it."""
+        whole = {name: ('int64', [1], None) for name in ROWS.names[3:]}
+        columns = {
+            LIDAR: ('float32', [len(CHANNELS), self.n_rays], ['channel', 'ray']),
+            ACTION: ('float32', [2], ['x', 'y']),
+            'timestamp': ('float32', [1], None),
+            **whole,
+        }
+        return {
+            name: {'dtype': kind, 'shape': shape, 'names': names}
+            for name, (kind, shape, names) in columns.items()
+        }
+
+    def _unwritable(self, error: OSError) -> BagError:
+        what = f'it cannot be written ({error.strerror or error})'
+        return BagError(self.folder, what, 'free space or choose another folder')
+
+
+def runs(steps: Steps) -> Iterator[np.ndarray]:
+    """Yield the indices (k,) of the steps of one shepherd after another, without a hole each."""
+    for shepherd in np.unique(steps.shepherd):
+        (mine,) = np.nonzero(steps.shepherd == shepherd)
+        yield from np.split(mine, np.nonzero(np.diff(steps.step[mine]) != 1)[0] + 1)

@@ -1,0 +1,103 @@
+"""What was found in recordings that are learned from, counted while they are read."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from shepherd_ros.datasets.running_stats import Spread
+from shepherd_ros.datasets.steps import Steps
+from shepherd_ros.wire.contract import CHANNELS
+
+
+@dataclass
+class Report:
+    """Numbers of what was read; steps are those of single shepherds."""
+
+    bags: int = 0
+    episodes: int = 0
+    steps: int = 0
+    examples: int = 0
+    drops: Counter[str] = field(default_factory=Counter)  # reason -> steps
+    first_drop: dict[str, str] = field(default_factory=dict)  # reason -> where
+    sheep: Counter[int] = field(default_factory=Counter)  # flock -> episodes
+    shepherds: Counter[int] = field(default_factory=Counter)  # team -> episodes
+    speed: Spread = field(default_factory=lambda: Spread(1))  # m/s, of whole steps
+    returns: Spread = field(default_factory=lambda: Spread(len(CHANNELS)))  # share of the rays
+
+    def drop(self, reason: str, where: str, count: int = 1) -> None:
+        """Count steps that are no example."""
+        self.drops[reason] += count
+        self.first_drop.setdefault(reason, where)
+
+    def refuse(self, reason: str, where: str, count: int = 1) -> None:
+        """Count steps that are not whole."""
+        self.steps += count
+        self.drop(reason, where, count)
+
+    def see(self, steps: Steps) -> None:
+        """Count the whole steps of an episode."""
+        self.episodes += 1
+        self.steps += len(steps)
+        self.sheep[steps.n_sheep] += 1
+        self.shepherds[steps.n_shepherds] += 1
+        self.speed.add(np.linalg.norm(steps.action.astype(np.float64), axis=1)[:, None])
+        if len(steps):
+            self.returns.add(np.isfinite(steps.lidar).mean(axis=2))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the report as plain data."""
+        shares = self.returns.to_dict()
+        return {
+            **{name: getattr(self, name) for name in ('bags', 'episodes', 'steps', 'examples')},
+            'dropped': [
+                {'reason': reason, 'steps': count, 'first': self.first_drop[reason]}
+                for reason, count in self.drops.most_common()
+            ],
+            'speed': {name: values[0] for name, values in self.speed.to_dict().items()},
+            'returns': {
+                channel: {name: values[k] for name, values in shares.items()}
+                for k, channel in enumerate(CHANNELS)
+            },
+            'episodes_by_shepherds': dict(sorted(self.shepherds.items())),
+            'episodes_by_sheep': dict(sorted(self.sheep.items())),
+        }
+
+    def text(self) -> str:
+        """Return the report as a table for people."""
+        data = self.to_dict()
+        lines = [f'{f"{name}:":<10} {data[name]}' for name in ('bags', 'episodes')]
+        lines += [f'steps:     {self.steps} (of single shepherds)', f'examples:  {self.examples}']
+        for row in data['dropped']:
+            lines.append(
+                f'dropped:   {row["steps"]} steps, {row["reason"]}; first: {row["first"]}'
+            )
+        columns = ('mean', 'std', 'min', 'max')
+        lines += ['', ' ' * 24 + ''.join(f'{name:>8}' for name in columns)]
+        rows = [('speed [m/s]', data['speed'])]
+        rows += [(f'rays that hit, {name}', row) for name, row in data['returns'].items()]
+        for name, row in rows:
+            lines.append(f'{name:<24}' + ''.join(f'{row[column]:8.3f}' for column in columns))
+        for name in ('shepherds', 'sheep'):
+            lines += ['', f'{name:>9}  episodes']
+            lines += _bars(data[f'episodes_by_{name}'])
+        return '\n'.join(lines)
+
+
+def _bars(counts: dict[int, int], most: int = 12, width: int = 40) -> list[str]:
+    """Return the lines of a histogram, with neighbours in one bar where there are too many."""
+    low, high = min(counts, default=0), max(counts, default=0)
+    wide = -(-(high - low + 1) // most)
+    bars: Counter[int] = Counter()
+    for value, count in counts.items():
+        bars[(value - low) // wide] += count
+    longest = max(bars.values(), default=1)
+    lines = []
+    for k, count in sorted(bars.items()):
+        first = low + k * wide
+        last = min(first + wide - 1, high)
+        name = f'{first}' if first == last else f'{first}-{last}'
+        lines.append(f'{name:>9}  {count:>8}  {"#" * -(-width * count // longest)}')
+    return lines

@@ -1,0 +1,113 @@
+"""
+The whole steps of a recorded episode: what each shepherd saw, and what it was told to do.
+
+All that learns from recordings starts here, whether from bags or from what was built of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from shepherd_ros.config import ConfigError
+from shepherd_ros.recordings.episodes import Episode
+from shepherd_ros.wire.contract import CHANNELS
+from shepherd_ros.wire.decode import Floats, Ranges
+
+Refuse = Callable[[str, str, int], None]  # reason, place of the first, steps of single shepherds
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The whole steps (n) of an episode, by step and then by shepherd."""
+
+    bag: str  # name of the bag
+    episode: int  # which of the bag, counted from 0
+    seed: int
+    n_sheep: int
+    n_shepherds: int
+    dt: float  # s
+    step: NDArray[np.int64]  # (n,)
+    shepherd: NDArray[np.int64]  # (n,)
+    lidar: NDArray[np.float32]  # (n, 3, R) m, +inf for no return
+    action: NDArray[np.float32]  # (n, 2) m/s, world frame
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.step)
+
+    @property
+    def n_rays(self) -> int:
+        """Return the rays of a channel, 0 if there is no step."""
+        return self.lidar.shape[-1]
+
+    @property
+    def where(self) -> str:
+        """Return what messages call the episode."""
+        return f'{self.bag}:{self.episode}'
+
+
+def steps_of(episode: Episode, bag: str, number: int, refuse: Refuse) -> Steps:
+    """
+    Return the steps of an episode that have all: poses, scan and command of a shepherd.
+
+    The others are refused by name. Nothing follows on the last state, so it is no step. Raises
+    ConfigError where the lidar changes within the episode.
+    """
+    where, team = f'{bag}:{number}', episode.n_shepherds
+    _refuse_holes([frame.step for frame in episode.frames], team, where, refuse)
+    kept: list[tuple[int, int, Ranges, NDArray[np.float32]]] = []
+    for frame in episode.frames[:-1]:
+        for h in range(team):
+            scan, command = frame.scans[h], _single(frame.commands[h])
+            reason = _lack(scan, command)
+            if reason or scan is None or command is None:
+                refuse(reason, f'{where}, step {frame.step}, shepherd_{h}', 1)
+                continue
+            if kept and scan.shape != kept[0][2].shape:
+                raise ConfigError(
+                    f'{where}, step {frame.step}, shepherd_{h}: a scan of {scan.shape[-1]} rays, '
+                    f'expected {kept[0][2].shape[-1]} as before; record one lidar at a time'
+                )
+            kept.append((frame.step, h, scan, command))
+    nothing = np.zeros((0, len(CHANNELS), 0), np.float32)
+    return Steps(
+        bag=bag,
+        episode=number,
+        seed=episode.seed,
+        n_sheep=episode.n_sheep,
+        n_shepherds=team,
+        dt=episode.dt,
+        step=np.array([row[0] for row in kept], np.int64),
+        shepherd=np.array([row[1] for row in kept], np.int64),
+        lidar=np.stack([row[2] for row in kept]).astype(np.float32) if kept else nothing,
+        action=np.array([row[3] for row in kept], np.float32).reshape(-1, 2),
+    )
+
+
+def _single(command: Floats | None) -> NDArray[np.float32] | None:
+    """Return a command (2,) m/s in single precision, as all that learns reads it."""
+    with np.errstate(over='ignore'):
+        return None if command is None else command.astype(np.float32)
+
+
+def _lack(scan: Ranges | None, command: NDArray[np.float32] | None) -> str:
+    """Return what is wrong with the step of a shepherd, empty if nothing is."""
+    if command is None:
+        return 'no command'
+    if not np.isfinite(command).all():
+        return 'a command that is not finite'
+    if scan is None or not scan.size:
+        return 'no scan'
+    return 'a scan with NaN' if np.isnan(scan).any() else ''
+
+
+def _refuse_holes(steps: list[int], team: int, where: str, refuse: Refuse) -> None:
+    """Refuse the steps between the first state and the last that lack poses."""
+    missing = steps[-1] - steps[0] + 1 - len(steps) if steps else 0
+    if missing:
+        first = next(a + 1 for a, b in pairwise(steps) if b > a + 1)
+        refuse('no poses', f'{where}, step {first}', missing * team)

@@ -1,1 +1,0 @@
-"""Whole episodes, many at a time, and what came of them."""

@@ -1,0 +1,109 @@
+"""Which cells an experiment needs, which of them are not done yet, and doing those."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass, replace
+from multiprocessing import get_context, parent_process
+import os
+from pathlib import Path
+from threading import Thread
+
+from shepherd_ros.config import ConfigError
+from shepherd_ros.experiments.cells import Cell, cell_file, key_of, run_into, TOGETHER
+from shepherd_ros.experiments.methods import checkpoint_hash, full_name
+from shepherd_ros.experiments.results import read_table
+from shepherd_ros.experiments.setting import Setting, settled
+from shepherd_ros.memory import keep_memory
+import torch
+
+
+@dataclass(frozen=True)
+class Task:
+    """A cell, and the key by which its rows are found again."""
+
+    cell: Cell
+    key: str
+
+
+def seed_batches(seed: int, episodes: int) -> Iterator[tuple[int, int]]:
+    """Yield first seed and number of the batches of a cell; always cut at the same places."""
+    for first in range(seed, seed + episodes, TOGETHER):
+        yield first, min(TOGETHER, seed + episodes - first)
+
+
+def plan(
+    settings: Sequence[Setting], controllers: Sequence[str], seed: int, episodes: int
+) -> list[Task]:
+    """Return every cell, each once; raises ConfigError for what cannot be run."""
+    if episodes < 1:
+        raise ConfigError(f'--episodes is {episodes}: expected at least 1')
+    tasks: dict[tuple[str, int], Task] = {}
+    for name in dict.fromkeys(map(full_name, controllers)):
+        for setting in dict.fromkeys(map(settled, settings)):
+            whole = Cell(setting, name, seed, episodes)
+            key = key_of(whole.config(), checkpoint_hash(name))
+            for first, count in seed_batches(seed, episodes):
+                cell = replace(whole, first=first, count=count)
+                tasks.setdefault((key, first), Task(cell, key))
+    return list(tasks.values())
+
+
+def is_done(folder: Path, task: Task) -> bool:
+    """Return whether the rows of a cell are there."""
+    return cell_file(folder, task.cell, task.key).exists()
+
+
+def codes_of(folder: Path, tasks: Iterable[Task]) -> list[str]:
+    """Return the commits that made the rows of done cells, ascending."""
+    tables = (read_table(cell_file(folder, task.cell, task.key)) for task in tasks)
+    return sorted({code for table in tables for code in table.column('code').to_pylist()})
+
+
+def shard_of(tasks: Sequence[Task], shard: str) -> list[Task]:
+    """Return the part i/n of the cells, as 1/4, so that n machines share the work."""
+    try:
+        index, count = (int(part) for part in shard.split('/'))
+    except ValueError:
+        index, count = 0, 0
+    if not 1 <= index <= count:
+        raise ConfigError(f'--shard is {shard!r}: expected i/n with 1 <= i <= n, such as 1/4')
+    return list(tasks[index - 1 :: count])
+
+
+def begin_worker() -> None:
+    """Take one thread, and end at once when the process that started this one was killed."""
+    torch.set_num_threads(1)
+    keep_memory()
+
+    def end_with_parent() -> None:
+        parent = parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    Thread(target=end_with_parent, daemon=True).start()
+
+
+def run_tasks(
+    folder: Path,
+    tasks: Sequence[Task],
+    workers: int,
+    code: str,
+    on_done: Callable[[Cell], None],
+) -> None:
+    """Run cells in processes of their own, long ones first; on_done(cell) after each."""
+    longest = sorted(tasks, key=lambda task: -task.cell.cost())
+    with ProcessPoolExecutor(workers, get_context('spawn'), begin_worker) as pool:
+        running: set[Future[Cell]] = {
+            pool.submit(run_into, folder, task.cell, task.key, code) for task in longest
+        }
+        try:
+            while running:
+                ended, running = wait(running, return_when=FIRST_COMPLETED)
+                for future in ended:
+                    on_done(future.result())
+        except BaseException:  # Ctrl-C, too: what has not begun is not begun
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise

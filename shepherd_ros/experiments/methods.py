@@ -1,0 +1,139 @@
+"""Who drives in an experiment: a controller by its name, a policy as policy:CHECKPOINT."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import replace
+from functools import cache
+import hashlib
+from typing import Any
+
+from shepherd_ros.config import ConfigError
+from shepherd_ros.controllers import controller_type, make_controller
+from shepherd_ros.controllers.base import Controller
+from shepherd_ros.controllers.policy import LearnedConfig, LearnedController
+from shepherd_ros.experiments.setting import env_config, Setting
+from shepherd_ros.policy.checkpoint import checkpoint_file, load_policy, read_metadata
+from shepherd_ros.policy.policy import Policy
+from shepherd_ros.sim.lidar import LidarConfig, scan
+from shepherd_ros.sim.presets import PRESETS
+from shepherd_ros.sim.state import WorldState
+from torch import Tensor
+
+POLICY = LearnedController.name
+LABELS = {'strombom': 'Strömbom', 'pierson': 'Pierson', 'drover': 'drover (ours)'}
+
+
+def full_name(name: str) -> str:
+    """Return the name with its checkpoint: policy is policy:imitation; or raise ConfigError."""
+    kind, colon, checkpoint = name.partition(':')
+    controller_type(kind)
+    if kind != POLICY:
+        if colon:
+            raise ConfigError(f'controller is {name!r}: expected a checkpoint only after policy:')
+        return kind
+    checkpoint = checkpoint or LearnedConfig().checkpoint
+    checkpoint_file(checkpoint)
+    return f'{POLICY}:{checkpoint}'
+
+
+def checkpoint_of(name: str) -> str:
+    """Return the checkpoint in the full name of a policy, empty for the others."""
+    return name.partition(':')[2]
+
+
+def label(name: str) -> str:
+    """Return how pictures and pages name a method; ours are marked."""
+    checkpoint = checkpoint_of(name)
+    return f'policy {checkpoint} (ours)' if checkpoint else LABELS.get(name, name)
+
+
+def in_order(names: list[str]) -> list[str]:
+    """Return methods as pictures show them: policies, the paper's baselines, the others."""
+    order = ['strombom', 'pierson', 'drover', 'idle', 'random']
+    return sorted(names, key=lambda n: (order.index(n) if n in order else -1, n))
+
+
+def checkpoint_hash(name: str) -> str:
+    """Return the SHA-256 of the file of a policy's checkpoint, empty for other controllers."""
+    checkpoint = checkpoint_of(name)
+    return _read(checkpoint, _written(checkpoint))[1] if checkpoint else ''
+
+
+def loaded(checkpoint: str) -> Policy:
+    """Return the policy of a checkpoint; its weights are shared, its configuration is not."""
+    return copy(_read(checkpoint, _written(checkpoint))[0])
+
+
+def _written(checkpoint: str) -> int:
+    """Return when a checkpoint was written [ns]."""
+    return checkpoint_file(checkpoint).stat().st_mtime_ns
+
+
+@cache
+def _read(checkpoint: str, written: int) -> tuple[Policy, str]:
+    """Return the policy of a checkpoint, and the SHA-256 of its file."""
+    content = checkpoint_file(checkpoint).read_bytes()
+    return load_policy(checkpoint), hashlib.sha256(content).hexdigest()
+
+
+def how_made(name: str) -> str:
+    """Return the command that trained a policy, as its checkpoint says."""
+    return str(_record(name).get('command', 'the checkpoint does not say'))
+
+
+def training_of(name: str) -> dict[str, Any]:
+    """Return the configuration of a policy's training, empty where its checkpoint has none."""
+    config = _record(name).get('config')
+    run = config.get('run') if isinstance(config, dict) else None
+    return run if isinstance(run, dict) else {}
+
+
+def _record(name: str) -> dict[str, Any]:
+    """Return what the checkpoint of a policy says about its making."""
+    return read_metadata(checkpoint_file(checkpoint_of(name)))[1]
+
+
+class FaultyLidarController(LearnedController):
+    """A policy that looks through a lidar with faults, or with fewer rays than it knows."""
+
+    lidar: LidarConfig
+
+    def look(self, seen: WorldState) -> Tensor:
+        """Return ranges (..., H, 3, R) m; each of fewer rays stands for its neighbours too."""
+        wanted = self.policy.config.lidar.n_rays
+        ranges = scan(seen, self.lidar)
+        return ranges.repeat_interleave(wanted // self.lidar.n_rays, dim=-1).roll(
+            -(wanted // self.lidar.n_rays // 2), dims=-1
+        )
+
+
+def make_method(name: str, setting: Setting) -> Controller:
+    """Return the controller of a full name in a setting, or raise ConfigError."""
+    config = env_config(setting)
+    checkpoint = checkpoint_of(name)
+    if not checkpoint:
+        return make_controller(
+            name, config.world, **PRESETS[setting.preset].controllers.get(name, {})
+        )
+    policy = loaded(checkpoint)
+    if setting.any_dt:
+        policy.config = replace(policy.config, dt=config.world.dt)
+    options = LearnedConfig(checkpoint=checkpoint)
+    plain = Setting()
+    faults = ('dropout', 'rays', 'cross_occlusion')
+    if all(getattr(setting, f) == getattr(plain, f) for f in faults):
+        return LearnedController(options, config.world, policy)
+    if policy.config.lidar.n_rays % setting.rays:
+        raise ConfigError(
+            f'rays is {setting.rays}: expected a divisor of {policy.config.lidar.n_rays}, which '
+            f'{name} was trained with'
+        )
+    controller = FaultyLidarController(options, config.world, policy)
+    controller.lidar = replace(
+        policy.config.lidar,
+        n_rays=setting.rays,
+        dropout=setting.dropout,
+        cross_occlusion=setting.cross_occlusion,
+    )
+    return controller

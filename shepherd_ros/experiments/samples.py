@@ -1,0 +1,156 @@
+"""The episodes of one experiment among many rows, in the order of its settings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from shepherd_ros.config import ConfigError
+from shepherd_ros.experiments.bootstrap import Array
+from shepherd_ros.experiments.catalog import Experiment, QUICK_STEPS
+from shepherd_ros.experiments.methods import in_order
+from shepherd_ros.experiments.results import Rows, VALUES
+from shepherd_ros.experiments.setting import describe, env_config, FIELDS, Setting, settled
+
+FLOORS = ('idle', 'random')
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Metrics of episodes by controller and setting; the same seeds in all."""
+
+    experiment: Experiment
+    settings: tuple[Setting, ...]  # those with rows, P of them
+    seeds: tuple[int, ...]  # that all cells have, E of them
+    steps: int
+    values: dict[tuple[str, str], Array] = field(repr=False)  # controller, metric -> (P, E)
+    left_out: tuple[str, ...] = ()  # controllers of which too little is there
+
+    @property
+    def controllers(self) -> list[str]:
+        """Return who drove, in the order of pictures."""
+        return in_order(list({name for name, _ in self.values}))
+
+    @property
+    def policies(self) -> list[str]:
+        """Return the learned ones among those who drove."""
+        return [name for name in self.controllers if name.startswith('policy:')]
+
+    @property
+    def notes(self) -> list[str]:
+        """Return a line for each controller of which too little is there."""
+        text = f'{self.experiment.name} is without {{}}: too few of its episodes are there'
+        return [text.format(name) for name in self.left_out]
+
+    def axis(self, name: str) -> list[Any]:
+        """Return the values of a field of the settings, or what `case` each one is."""
+        return [describe(s) if name == 'case' else getattr(s, name) for s in self.settings]
+
+
+def samples_of(
+    rows: Rows, experiment: Experiment, least: int = 1, whole: bool = False
+) -> Samples | None:
+    """
+    Return the episodes of an experiment, or raise ConfigError if they do not fit together.
+
+    None: rows of fewer than `least` of its settings. A controller that lacks a setting has NaN
+    there; one that has less than half of the episodes that another has (as many from each of its
+    cells), or lacks any if only what is whole is wanted, is left out, and named.
+    """
+    cells: dict[tuple[str, int], np.ndarray] = {}  # controller, setting -> indices of rows
+    settings = list(dict.fromkeys(map(settled, experiment.settings)))
+    for place, setting in enumerate(settings):
+        wanted = {name: getattr(setting, name) for name in FIELDS if name != 'steps'}
+        # two settings can be the same world: a preset, and what it changes
+        mask = rows.where(**wanted) | rows.in_environment(env_config(setting).to_dict())
+        for name in sorted(set(rows.columns['controller'][mask].tolist())):
+            if name in FLOORS and name not in experiment.controllers:
+                continue  # rows of the table, which would clutter a figure
+            cells[name, place] = np.flatnonzero(mask & rows.where(controller=name))
+    sizes: dict[str, list[int]] = {}  # controller -> episodes in each of its cells
+    for (name, _), index in cells.items():
+        sizes.setdefault(name, []).append(len(index))
+    count = {name: len(episodes) * min(episodes) for name, episodes in sizes.items()}
+    most = max(count.values(), default=0)
+    cells = {key: index for key, index in cells.items() if 2 * count[key[0]] >= most}
+    if whole:
+        cells = _of_whole(cells, rows, experiment, settings)
+    if len({place for _, place in cells}) < least:
+        return None
+    steps = _common(rows, cells, experiment.name)
+    seeds = sorted(
+        set.intersection(*(set(rows.columns['seed'][index].tolist()) for index in cells.values()))
+    )
+    if not seeds:
+        raise ConfigError(f'{experiment.name}: no seed is in all its cells; evaluate it again')
+    present = sorted({place for _, place in cells})
+    values = {
+        (name, metric): np.full((len(present), len(seeds)), np.nan)
+        for name in {name for name, _ in cells}
+        for metric in VALUES
+    }
+    for (name, place), index in cells.items():
+        chosen = index[np.isin(rows.columns['seed'][index], seeds)]
+        chosen = chosen[np.argsort(rows.columns['seed'][chosen])]
+        for metric in VALUES:
+            values[name, metric][present.index(place)] = rows.columns[metric][chosen]
+    out = tuple(in_order(list(count.keys() - {name for name, _ in cells})))
+    there = tuple(settings[p] for p in present)
+    return Samples(experiment, there, tuple(seeds), steps, values, out)
+
+
+def _of_whole(
+    cells: dict[tuple[str, int], Array],
+    rows: Rows,
+    experiment: Experiment,
+    settings: list[Setting],
+) -> dict[tuple[str, int], Array]:
+    """
+    Return the cells of those controllers of which all is there.
+
+    That is all settings, or all of the short form, with as many seeds as any has in all of them.
+    """
+    used = np.concatenate([*cells.values(), []]).astype(int)
+    short = set(rows.columns['steps'][used].tolist()) == {QUICK_STEPS}
+    needed = [settings.index(settled(s)) for s in (experiment.quick if short else settings)]
+    seeds = {
+        name: set.intersection(
+            *(set(rows.columns['seed'][cells.get((name, p), [])].tolist()) for p in needed)
+        )
+        for name in {name for name, _ in cells}
+    }
+    most = max(map(len, seeds.values()), default=0)
+    return {key: index for key, index in cells.items() if most and len(seeds[key[0]]) == most}
+
+
+def _common(rows: Rows, cells: dict[tuple[str, int], np.ndarray], title: str) -> int:
+    """Return the steps of all episodes; ConfigError if results of two kinds are mixed."""
+    used = np.concatenate(list(cells.values()))
+    for name in ('steps', 'version'):
+        found = sorted(set(rows.columns[name][used].tolist()))
+        if len(found) > 1:
+            raise ConfigError(
+                f'{title}: rows with {name} {" and ".join(map(str, found))} are mixed: expected '
+                'those of one evaluation; give fewer folders'
+            )
+    for name, place in cells:
+        keys = sorted(set(rows.columns['key'][cells[name, place]].tolist()))
+        if len(keys) > 1:
+            raise ConfigError(
+                f'{title}: {name} has rows of {len(keys)} configurations or checkpoints for one '
+                f'setting ({", ".join(keys)}): remove those that are old'
+            )
+    return int(rows.columns['steps'][used][0])
+
+
+def means(samples: Samples, names: Sequence[str]) -> list[tuple[str, Setting, dict[str, Array]]]:
+    """Return the episodes (E,) of some metrics for each controller and setting that has them."""
+    found = []
+    for place, setting in enumerate(samples.settings):
+        for controller in samples.controllers:
+            values = {name: samples.values[controller, name][place] for name in names}
+            if not np.isnan(next(iter(values.values()))).any():
+                found.append((controller, setting, values))
+    return found

@@ -1,0 +1,103 @@
+"""Results of an experiment as a Markdown table and as CSV: means with 95 % intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import csv
+from io import StringIO
+
+from shepherd_ros.experiments.bootstrap import mean_interval
+from shepherd_ros.experiments.methods import label
+from shepherd_ros.experiments.samples import means, Samples
+from shepherd_ros.experiments.setting import FIELDS
+from shepherd_ros.sim.metrics import METRICS, PAPER_METRICS
+
+COLUMNS = (*PAPER_METRICS, 'fraction_in_goal', 'shepherd_path_to_completion')
+
+
+def number(value: float) -> str:
+    """Return a number with three digits."""
+    return f'{value:.0f}' if 100 <= abs(value) < 1e6 else f'{value:.3g}'
+
+
+def interval_text(mean: float, low: float, high: float) -> str:
+    """Return a mean and its interval."""
+    return f'{number(mean)} [{number(low)}, {number(high)}]'
+
+
+def header(metric: str) -> str:
+    """Return the name of a metric in words, with its unit."""
+    unit = METRICS[metric][0]
+    return metric.replace('_', ' ') + ('' if unit == '1' else f' [{unit}]')
+
+
+def varying(samples: Samples) -> list[str]:
+    """Return the fields that differ between settings of the experiment."""
+    names = [n for n in FIELDS if len({getattr(s, n) for s in samples.settings}) > 1]
+    return names or ['sheep']
+
+
+def markdown(samples: Samples, columns: Sequence[str] = COLUMNS) -> str:
+    """Return a table with a row for each setting and controller."""
+    keys = varying(samples)
+    lines = [
+        f'| {" | ".join(keys)} | controller | {" | ".join(map(header, columns))} |',
+        '|' + '--:|' * len(keys) + ':--|' + '--:|' * len(columns),
+    ]
+    for controller, setting, values in means(samples, columns):
+        cells = [str(getattr(setting, key)) for key in keys]
+        cells.append(label(controller))
+        for name in columns:
+            mean, low, high = (float(x) for x in mean_interval(values[name]))
+            cells.append(interval_text(mean, low, high))
+        lines.append(f'| {" | ".join(cells)} |')
+    return '\n'.join(lines) + '\n'
+
+
+def grid(samples: Samples, metric: str) -> str:
+    """Return a table of one metric: a row for each flock size and controller, teams across."""
+    teams = sorted(set(samples.axis('shepherds')))
+    cells = {
+        (setting.sheep, label(controller), setting.shepherds): interval_text(
+            *(float(x) for x in mean_interval(values[metric]))
+        )
+        for controller, setting, values in means(samples, (metric,))
+    }
+    rows = dict.fromkeys((sheep, who) for sheep, who, _ in cells)
+    lines = [
+        f'| sheep | controller | {" | ".join(f"M = {m}" for m in teams)} |',
+        '|--:|:--|' + '--:|' * len(teams),
+    ]
+    for sheep, who in rows:
+        texts = [cells.get((sheep, who, m), '') for m in teams]
+        lines.append(f'| {sheep} | {who} | {" | ".join(texts)} |')
+    return '\n'.join(lines) + '\n'
+
+
+def grids(samples: Samples, columns: Sequence[str] = COLUMNS) -> str:
+    """Return a page with the grid() of each metric."""
+    intro = (
+        f'# {samples.experiment.title}\n\n{len(samples.seeds)} starts of each cell, '
+        f'{samples.steps} steps; means with 95 % bootstrap intervals.\n'
+    )
+    parts = [f'\n## {header(name).capitalize()}\n\n{grid(samples, name)}' for name in columns]
+    return intro + ''.join(parts)
+
+
+def csv_rows(samples: Samples) -> str:
+    """Return a line for each setting, controller and metric, without a header."""
+    text = StringIO()
+    write = csv.writer(text, lineterminator='\n').writerow
+    for controller, setting, values in means(samples, tuple(METRICS)):
+        for name, episodes in values.items():
+            ends = [f'{float(x):.6g}' for x in mean_interval(episodes)]
+            fields = [getattr(setting, field) for field in FIELDS if field != 'steps']
+            row = [samples.experiment.name, controller, *fields, samples.steps, len(episodes)]
+            write([*row, name, *ends])
+    return text.getvalue()
+
+
+CSV_HEADER = ','.join(
+    ['experiment', 'controller', *(f for f in FIELDS if f != 'steps'), 'steps', 'episodes',
+     'metric', 'mean', 'low', 'high']
+) + '\n'  # fmt: skip

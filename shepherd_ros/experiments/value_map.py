@@ -1,0 +1,85 @@
+"""What a critic thinks of each place for a third shepherd (figure 9)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from shepherd_ros.experiments.bootstrap import Array
+from shepherd_ros.policy.policy import Policy
+from shepherd_ros.sim.lidar import scan
+from shepherd_ros.sim.observation import first_stack, frames_of, history_length
+from shepherd_ros.sim.spawn import spawn
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.world import WorldConfig
+import torch
+from torch import Tensor
+
+SIDE = 25.0  # [m] half the side of the plane, as in the paper
+PLACES = 41  # along each side
+SHEEP = 10
+HIGH = 0.8  # a value is high if it lies so far up between the lowest and the highest
+BEHIND = 0.5  # cosine of 60 degrees: the best place is behind the flock if it is within them
+
+
+@dataclass(frozen=True)
+class ValueMap:
+    """Values over the plane, and who stands in it."""
+
+    values: Array  # (PLACES, PLACES), rows along y
+    sheep: Array  # (N, 2) m
+    shepherds: Array  # (2, 2) m
+    goal_radius: float
+
+    @property
+    def behind(self) -> float:
+        """
+        Return the cosine of the angle between the best place and straight behind the flock.
+
+        Both are seen from the flock; 1 is straight behind it, -1 between flock and goal.
+        """
+        row, column = np.unravel_index(self.values.argmax(), self.values.shape)
+        grid = np.linspace(-SIDE, SIDE, PLACES)
+        center = self.sheep.mean(axis=0)
+        way = np.array([grid[column], grid[row]]) - center
+        lengths = np.linalg.norm(way) * np.linalg.norm(center)
+        return float(way @ center / max(lengths, 1e-9))
+
+    @property
+    def high_share(self) -> float:
+        """Return the share of the plane with high values."""
+        low, high = self.values.min(), self.values.max()
+        return float((self.values > low + HIGH * (high - low)).mean())
+
+
+def value_map(policy: Policy, seed: int = 0) -> ValueMap:
+    """
+    Return the values of a third shepherd, of a start with that seed and the goal at the origin.
+
+    All frames show the same moment, as nobody has moved yet.
+    """
+    world = WorldConfig(n_sheep=SHEEP, n_shepherds=3, dt=policy.config.dt)
+    start = spawn(world, torch.tensor([seed]))
+    grid = torch.linspace(-SIDE, SIDE, PLACES)
+    places = torch.stack(torch.meshgrid(grid, grid, indexing='xy'), dim=-1).reshape(-1, 2)
+    values = torch.cat([_values(policy, start, part) for part in places.split(256)])
+    return ValueMap(
+        values.double().reshape(PLACES, PLACES).numpy(),
+        start.sheep[0].double().numpy(),
+        start.shepherds[0, :2].double().numpy(),
+        float(start.goal_radius),
+    )
+
+
+@torch.no_grad()
+def _values(policy: Policy, start: WorldState, places: Tensor) -> Tensor:
+    """Return the values of a third shepherd at places (n, 2) m, (n,)."""
+    count = len(places)
+    many = start.world(torch.zeros(count, dtype=torch.int64))
+    shepherds = torch.cat([many.shepherds[:, :2], places[:, None]], dim=1)
+    third = torch.tensor([2])
+    ranges = scan(replace(many, shepherds=shepherds), policy.config.lidar, third)[:, 0]
+    config = policy.config.observation
+    frames = frames_of(first_stack(ranges, history_length(config)), config)
+    first = policy.first_ray(frames[:, -1])
+    return torch.as_tensor(policy.critic(policy.arranged(policy.scaled(frames), first)))

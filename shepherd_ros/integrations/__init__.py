@@ -1,0 +1,1 @@
+"""Environments in the terms of other libraries."""

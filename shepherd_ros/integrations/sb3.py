@@ -1,0 +1,128 @@
+"""
+Our worlds for Stable-Baselines3: each shepherd is an environment, so that all share a policy.
+
+An action is held for some steps, which are one step of the learner; its direction stays relative
+to the ray in front. `scripts/train_sb3.py` uses all of this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, cast
+
+from gymnasium import spaces, Wrapper
+import numpy as np
+from shepherd_ros.config import ConfigError
+from shepherd_ros.integrations.environments import HerdingVectorEnv
+from shepherd_ros.sim.env import EnvConfig
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
+import torch
+from torch import nn, Tensor
+
+Infos = list[dict[str, Any]]
+
+
+class HerdingVecEnv(VecEnv):
+    """The worlds of environments.HerdingVectorEnv in the terms of Stable-Baselines3."""
+
+    def __init__(self, config: EnvConfig, n_worlds: int, hold: int = 1) -> None:
+        """Make the worlds; an action is held for `hold` steps of an episode."""
+        steps = config.world.episode_steps
+        if hold < 1 or steps % hold:
+            raise ConfigError(f'hold is {hold}: expected a divisor of episode_steps, {steps}')
+        self.env, self.hold = HerdingVectorEnv(config, n_worlds), hold
+        self.actions = np.zeros((self.env.num_envs, 2), np.float32)
+        seen, done = self.env.single_observation_space, self.env.single_action_space
+        super().__init__(self.env.num_envs, seen, done)
+
+    def reset(self) -> np.ndarray:
+        """Return observations (num_envs, C, L); seed() says with which seed world 0 starts."""
+        seen, _ = self.env.reset(seed=self._seeds[0])
+        self._reset_seeds()
+        return seen
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Take actions (num_envs, 2) in units of the top speed."""
+        self.actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Return observations, rewards (sums over the steps), ends (num_envs,) and infos."""
+        total = np.zeros(self.num_envs, np.float32)
+        for _ in range(self.hold):
+            seen, reward, _, truncated, info = self.env.step(self.actions)
+            total += reward
+        infos: Infos = [{'TimeLimit.truncated': bool(end)} for end in truncated]
+        for i in truncated.nonzero()[0]:
+            metrics = {name: float(value[i]) for name, value in info['final_info'].items()}
+            infos[i] |= {'terminal_observation': info['final_obs'][i], 'metrics': metrics}
+        return seen, total, truncated, cast(Any, infos)
+
+    def close(self) -> None:
+        """Close nothing: the worlds hold no files and no processes."""
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """Return an attribute of the vector environment, once for each of some environments."""
+        return [getattr(self.env, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Refuse: the environments are one object."""
+        raise AttributeError(f'{attr_name} cannot be set for single shepherds')
+
+    def env_method(
+        self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
+    ) -> list[Any]:
+        """Refuse: the environments are one object."""
+        raise AttributeError(f'{method_name}() cannot be called for single shepherds')
+
+    def env_is_wrapped(
+        self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
+    ) -> list[bool]:
+        """Return False for each: there are no wrappers inside."""
+        return [False for _ in self._get_indices(indices)]
+
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        """Return no pictures: shepherd bag render draws episodes."""
+        return [None] * self.num_envs
+
+
+class LidarFeatures(BaseFeaturesExtractor):
+    """Two convolutions over the rays and a dense layer, smaller than the paper's."""
+
+    def __init__(self, observation_space: spaces.Box, features_dim: int = 128) -> None:
+        """Make the layers for inputs (C, L)."""
+        super().__init__(observation_space, features_dim)
+        channels, length = observation_space.shape
+        self.rays = nn.Sequential(
+            nn.Conv1d(channels, 32, 8, stride=4),
+            nn.ReLU(),
+            nn.Conv1d(32, 32, 4, stride=2),
+            nn.ReLU(),
+            nn.Flatten(),
+        )
+        width = self.rays(torch.zeros(1, channels, length)).shape[-1]
+        self.dense = nn.Sequential(nn.Linear(width, features_dim), nn.ReLU())
+
+    def forward(self, observations: Tensor) -> Tensor:
+        """Return features (B, features_dim) of inputs (B, C, L)."""
+        features: Tensor = self.dense(self.rays(observations))
+        return features
+
+
+def evaluate(
+    model: BaseAlgorithm, config: EnvConfig, n_worlds: int, hold: int, seed: int
+) -> dict[str, float]:
+    """Return the mean metrics of one episode in each world, by the mean action."""
+    env = HerdingVecEnv(config, n_worlds, hold)
+    env.seed(seed)
+    seen: Any = env.reset()
+    total, infos = np.zeros(env.num_envs), cast(Infos, [])
+    for _ in range(config.world.episode_steps // hold):
+        action, _ = model.predict(seen, deterministic=True)
+        seen, reward, _, infos = env.step(action)
+        total += reward
+    names = ('completed', 'completion_time', 'fraction_reached', 'fraction_in_goal')
+    means = {name: float(np.mean([info['metrics'][name] for info in infos])) for name in names}
+    return {'return': float(total.mean()), **means}

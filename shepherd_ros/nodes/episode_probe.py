@@ -1,0 +1,90 @@
+"""A node that remembers an episode: states, one shepherd's scans, and the metrics as published."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+import numpy as np
+import rclpy
+from shepherd_ros.ros.node import nanoseconds, ShepherdNode
+from shepherd_ros.ros.runtime import make_executor
+from shepherd_ros.ros.world_subscriber import Listener
+from shepherd_ros.sim.lidar import CHANNELS
+from shepherd_ros.sim.metrics import METRICS
+from shepherd_ros.sim.state import stack, WorldState
+from shepherd_ros.wire.episode import Episode
+
+
+class Witness(ShepherdNode):
+    """Listens to a whole stack and keeps what it hears of the first episode."""
+
+    backlog = 10_000  # it hears more than anybody and may be slower than the stack
+
+    def __init__(self, shepherd: int = 0, **kwargs: Any) -> None:
+        """Listen to everything, to the scans of one shepherd only."""
+        super().__init__('witness', **kwargs)
+        self.shepherd = shepherd
+        self.episode: Episode | None = None
+        self.step = -1  # newest step heard
+        self.states: dict[int, WorldState] = {}
+        self.scans: dict[int, dict[int, np.ndarray]] = {}
+        self.metrics: dict[str, float] = {}
+        self.listener = Listener(self, self.on_state)
+        for k, channel in enumerate(CHANNELS):
+            self.listen('shepherd_{h}/scan/' + channel, partial(self.on_scan, k), shepherd)
+        for name in METRICS:
+            self.listen(f'metrics/{name}', partial(self.on_metric, name))
+
+    def on_state(self, ns: int, state: WorldState, episode: Episode) -> None:
+        """Keep a state of the first episode."""
+        self.episode = self.episode or episode
+        if self.episode.number == episode.number:
+            self.states[ns] = state
+            self.step = int(state.step)
+
+    def on_scan(self, channel: int, message: Any) -> None:
+        """Keep the ranges of one channel."""
+        ranges = np.frombuffer(message.ranges, np.float32)
+        self.scans.setdefault(nanoseconds(message.header.stamp), {})[channel] = ranges
+
+    def on_metric(self, name: str, message: Any) -> None:
+        """Keep the newest value of a metric."""
+        self.metrics[name] = message.data
+
+    @property
+    def hears_all(self) -> bool:
+        """Return whether something of everything was heard."""
+        return bool(self.states and self.scans and len(self.metrics) == len(METRICS))
+
+    def whole(self) -> tuple[np.ndarray, WorldState]:
+        """Return the stamps (T,) s and the states (T) in order of time."""
+        order = sorted(self.states)
+        return np.array(order) * 1e-9, stack([self.states[ns] for ns in order])
+
+    def ranges(self) -> np.ndarray:
+        """Return the shepherd's ranges (T, 3, R) m for each state; a scan not heard is all inf."""
+        some = next(iter(self.scans.values()), {0: np.full(1, np.inf, np.float32)})
+        nothing = np.full_like(next(iter(some.values())), np.inf)
+        rows = [
+            [self.scans.get(ns, {}).get(k, nothing) for k in range(len(CHANNELS))]
+            for ns in sorted(self.states)
+        ]
+        return np.array(rows)
+
+
+@contextmanager
+def witnessing(shepherd: int = 0) -> Iterator[tuple[Witness, Callable[[float], None]]]:
+    """Give a witness and a function that lets it hear for at most some time [s]."""
+    rclpy.init()
+    node = Witness(shepherd)
+    executor = make_executor('events')
+    executor.add_node(node)
+    try:
+        yield node, lambda seconds: executor.spin_once(timeout_sec=seconds)
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.try_shutdown()

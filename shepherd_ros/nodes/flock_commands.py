@@ -1,0 +1,227 @@
+"""Where commands come in: which count, which are refused, and who is silent."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+import math
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import LaserScan
+from shepherd_ros.nodes.pending_commands import CommandBuffer
+from shepherd_ros.ros.messages import (
+    decode_command,
+    decode_stamp,
+    decode_twist,
+    LARGEST_FLOAT32,
+)
+from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
+from shepherd_ros.sim.lidar import CHANNELS
+from shepherd_ros.wire.episode import Episode
+
+THROTTLE = 5.0  # [s] between two warnings of one kind
+
+
+def seconds(ns: int) -> str:
+    """Return nanoseconds as seconds with all digits: stamps may differ in the last one."""
+    return f'{ns // 10**9}.{ns % 10**9:09d}'
+
+
+class CommandGate:
+    """
+    Subscribes to the commands of every shepherd of an episode and hands them on when due.
+
+    In lockstep a stamped command counts if its stamp is that of the present state; in realtime
+    if it is at most watchdog_steps old. Every refusal is counted for /diagnostics and logged.
+    """
+
+    def __init__(self, node: ShepherdNode, on_answers: Callable[[], None]) -> None:
+        """Declare the parameters; begin() subscribes."""
+        self.node, self.on_answers = node, on_answers
+        self.stamped: bool = node.option(
+            'stamped', True, 'commands are TwistStamped; false: Twist, taken for the present state'
+        )
+        self.watchdog_steps: int = node.option(
+            'watchdog_steps',
+            3,
+            'realtime: a shepherd silent for more steps than this stops',
+            low=0,
+        )
+        self.wait_for_scans: bool = node.option(
+            'wait_for_scans', False, 'lockstep: also wait until every shepherd has been scanned'
+        )
+        self.commands = CommandBuffer(0)
+        self.inputs: list[Any] = []
+        self.scans: dict[str, Any] = {}
+        self.scanned: set[str] = set()
+        self.counts: Counter[str] = Counter()
+        self.said: dict[str, float] = {}
+        self.lockstep = True
+        self.now_ns = self.dt_ns = 0
+        self.since = node.wall()
+        self.named: list[str] = []
+        self.rivals: dict[str, list[str]] = {}
+
+    def begin(self, episode: Episode) -> None:
+        """Make ready for the team of an episode."""
+        self.lockstep = episode.mode == 'lockstep'
+        self.commands = CommandBuffer(episode.n_shepherds)
+        self.named = []
+        kind = '' if self.stamped else 'geometry_msgs/msg/Twist'
+        while len(self.inputs) > episode.n_shepherds:
+            self.node.destroy_subscription(self.inputs.pop())
+        for h in range(len(self.inputs), episode.n_shepherds):
+            self.inputs.append(
+                self.node.listen('shepherd_{h}/cmd_vel', self._receiver(h), h, kind=kind, raw=True)
+            )
+        scans = {
+            f'shepherd_{h}/scan/{channel}': ('shepherd_{h}/scan/' + channel, h)
+            for h in range(episode.n_shepherds if self.wait_for_scans else 0)
+            for channel in CHANNELS
+        }
+        for name in self.scans.keys() - scans.keys():
+            self.node.destroy_subscription(self.scans.pop(name))
+        for name in [name for name in scans if name not in self.scans]:
+            topic, h = scans[name]
+            self.scans[name] = self.node.listen(topic, self._scan_receiver(name), h, raw=True)
+
+    def expect(self, now_ns: int, dt_ns: int) -> None:
+        """Begin to wait for answers to a new state."""
+        self._forgive()
+        self.now_ns, self.dt_ns = now_ns, dt_ns
+        self.commands.expect()
+        self.scanned.clear()
+        self.since = self.node.wall()
+
+    @property
+    def complete(self) -> bool:
+        """Return whether the world may move."""
+        return self.commands.complete and len(self.scanned) == len(self.scans)
+
+    def _receiver(self, shepherd: int) -> Callable[[bytes], None]:
+        def receive(raw: bytes) -> None:
+            if self.stamped:
+                ns, frame_id, velocity = decode_command(raw)
+                if not self._accepts(shepherd, ns, frame_id):
+                    return
+            else:
+                velocity = decode_twist(raw)
+            if not all(abs(part) <= LARGEST_FLOAT32 for part in velocity):
+                self._refuse(
+                    'not_finite',
+                    f'shepherd_{shepherd}: command {velocity} m/s is not finite: counts as zero',
+                )
+                velocity = math.nan, math.nan
+            self.commands.add(shepherd, velocity)
+            if self.complete:
+                self.on_answers()
+
+        return receive
+
+    def _scan_receiver(self, name: str) -> Callable[[bytes], None]:
+        def receive(raw: bytes) -> None:
+            if decode_stamp(raw, LaserScan) == self.now_ns:
+                self.scanned.add(name)
+                if self.complete:
+                    self.on_answers()
+
+        return receive
+
+    def _accepts(self, shepherd: int, ns: int, frame_id: str) -> bool:
+        """Return whether a command of this stamp and frame counts now."""
+        if frame_id != self.node.frame_id:
+            self._refuse(
+                'wrong_frame',
+                f'shepherd_{shepherd}: command in frame {frame_id!r}, expected '
+                f'{self.node.frame_id!r}: ignored; give velocities in the world frame',
+            )
+            return False
+        age = self.now_ns - ns
+        if age == 0:
+            return True
+        if not self.lockstep and 0 < age <= max(self.watchdog_steps, 1) * self.dt_ns:
+            return True
+        if age == self.dt_ns:  # the second answer to a state that was shown twice
+            self.counts['late'] += 1
+            return False
+        self._refuse(
+            'wrong_stamp',
+            f'shepherd_{shepherd}: command stamped {seconds(ns)} s, expected '
+            f'{seconds(self.now_ns)} s: ignored; copy the stamp of flock/poses, or start '
+            'flock_sim with stamped:=false and publish Twist',
+        )
+        return False
+
+    def _refuse(self, reason: str, text: str) -> None:
+        self.counts[reason] += 1
+        now = self.node.wall()
+        if now - self.said.get(reason, -THROTTLE) >= THROTTLE:
+            self.said[reason] = now
+            self.node.get_logger().warning(text)
+
+    def missing(self) -> list[str]:
+        """Return whose answers to the present state are missing."""
+        lacking = [f'shepherd_{h}/cmd_vel' for h in self.commands.silent()]
+        return lacking + [name for name in self.scans if name not in self.scanned]
+
+    def watch(self, patience: float) -> None:
+        """Log once, by name, who has been silent for longer than patience [s], and who answers."""
+        if self.named:
+            self._forgive()
+            return
+        if self.complete or self.node.wall() - self.since < patience:
+            return
+        self.named = self.missing()
+        said = []
+        for name in self.named:
+            writers = self._publishers(name)
+            said.append(f'{name} ({", ".join(writers) if writers else "nobody publishes it"})')
+        self.node.get_logger().warning(
+            f'waiting at {self.now_ns * 1e-9:.3f} s for {"; ".join(said)}: start or wake the node '
+            'that answers, the episode then goes on'
+        )
+
+    def _forgive(self) -> None:
+        """Name no more who has answered meanwhile."""
+        missing = self.missing()
+        if answered := [name for name in self.named if name not in missing]:
+            self.node.get_logger().info(f'{", ".join(answered)}: answering again')
+        self.named = [name for name in self.named if name in missing]
+
+    def _publishers(self, topic: str) -> list[str]:
+        infos = self.node.get_publishers_info_by_topic(topic)
+        return sorted(f'{info.node_namespace.rstrip("/")}/{info.node_name}' for info in infos)
+
+    def find_rivals(self) -> None:
+        """Warn of shepherds that more than one node commands, once per set of nodes."""
+        rivals = {}
+        for h in range(self.commands.n_shepherds):
+            writers = self._publishers(f'shepherd_{h}/cmd_vel')
+            if len(writers) > 1:
+                rivals[f'shepherd_{h}/cmd_vel'] = writers
+        for topic, writers in rivals.items():
+            if self.rivals.get(topic) != writers:
+                self.node.get_logger().warning(
+                    f'{topic} is published by {len(writers)} nodes ({", ".join(writers)}), '
+                    'expected one: the last command counts; stop one or remap its topic'
+                )
+        self.rivals = rivals
+
+    def diagnose(self) -> DiagnosticStatus:
+        """Return what is wrong with commands, by name."""
+        self.find_rivals()
+        level, message = OK, 'every shepherd answers'
+        if self.named:
+            level, message = ERROR, 'no answer on ' + ', '.join(self.named)
+        elif not self.lockstep:
+            stopped = [
+                f'shepherd_{h}' for h, age in enumerate(self.commands.age)
+                if age > self.watchdog_steps
+            ]  # fmt: skip
+            if stopped:
+                level, message = ERROR, 'stopped by the watchdog: ' + ', '.join(stopped)
+        if level == OK and self.rivals:
+            level, message = WARN, 'several nodes command ' + ', '.join(sorted(self.rivals))
+        shown = {name: self.counts[name] for name in ('not_finite', 'wrong_frame', 'wrong_stamp')}
+        return self.node.status('commands', level, message, late=self.counts['late'], **shown)

@@ -1,0 +1,64 @@
+"""What flock_sim publishes of the world."""
+
+from __future__ import annotations
+
+from rclpy.duration import Duration
+from shepherd_ros.ros.markers import world_markers
+from shepherd_ros.ros.node import ShepherdNode
+from shepherd_ros.ros.transforms import TransformOutput
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.vectors import unit
+from shepherd_ros.wire.encode import encode_clock, encode_goal, encode_poses, encode_text
+from shepherd_ros.wire.episode import Episode
+
+MARKER_PERIOD = 0.05  # [s] wall time between two pictures
+POSES = ('flock/poses', 'shepherds/poses')
+TOPICS = ('episode', 'goal', '/clock', *POSES, 'markers')
+
+
+class WorldOutput:
+    """The publishers of clock, poses, goal, episode, markers and frames."""
+
+    def __init__(self, node: ShepherdNode) -> None:
+        """Create the publishers."""
+        self.node = node
+        self.outputs = {name: node.advertise(name) for name in TOPICS}
+        self.transforms = TransformOutput(node)
+        self.drawn = 0.0
+
+    def episode(self, ns: int, episode: Episode, state: WorldState, seconds: float = 0.2) -> None:
+        """Publish what is latched, and wait until everybody has it: states come after it."""
+        self.outputs['episode'].publish(encode_text(episode.to_json()))
+        self.goal(ns, state)
+        self.wait('episode', 'goal', seconds=seconds)
+
+    def goal(self, ns: int, state: WorldState) -> None:
+        """Publish where the goal is."""
+        x, y = state.goal.tolist()
+        self.outputs['goal'].publish(encode_goal(ns, self.node.frame_id, x, y))
+
+    def state(self, ns: int, state: WorldState, before: WorldState) -> None:
+        """Publish clock and poses; the state before gives the shepherds' headings."""
+        frame, moved = self.node.frame_id, unit(state.shepherds - before.shepherds)
+        self.outputs['/clock'].publish(encode_clock(ns))
+        self.outputs['shepherds/poses'].publish(
+            encode_poses(ns, frame, state.shepherds.numpy(), moved.numpy())
+        )
+        self.outputs['flock/poses'].publish(
+            encode_poses(ns, frame, state.sheep.numpy(), state.heading.numpy())
+        )
+        self.transforms.publish(ns, state.shepherds)
+        now = self.node.wall()
+        if now - self.drawn > MARKER_PERIOD:
+            if self.outputs['markers'].get_subscription_count():
+                self.outputs['markers'].publish(world_markers(ns, frame, state))
+            self.drawn = now
+
+    def readers(self) -> int:
+        """Return how many subscriptions to the poses DDS has found."""
+        return sum(self.outputs[topic].get_subscription_count() for topic in POSES)
+
+    def wait(self, *topics: str, seconds: float) -> None:
+        """Wait until every reader has what was published, at most so long for each topic."""
+        for topic in topics:
+            self.outputs[topic].wait_for_all_acked(Duration(seconds=seconds))

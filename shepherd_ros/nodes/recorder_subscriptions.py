@@ -1,0 +1,233 @@
+"""What a recorder listens to: every topic as soon as may be, every message in its turn."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+import time
+from typing import Any
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from shepherd_ros.nodes.recorder_losses import Losses
+from shepherd_ros.ros.node import message_type
+from shepherd_ros.rosbag2.qos import Qos
+from shepherd_ros.wire.contract import known
+from shepherd_ros.wire.schemas import installed_text, nested_text, wire_types
+from shepherd_ros.wire.topics import contract
+
+DEPTH = 10_000  # messages that may wait for the recorder, per topic
+Row = tuple[str, bytes, dict[str, int]]  # topic, message, times and number
+
+
+class Held(CallbackGroup):
+    """
+    Subscriptions whose messages no executor takes: that would cost more than to write them.
+
+    Their events, by which DDS reports losses, make every round of an executor milliseconds long:
+    it sees them only while the group is open.
+    """
+
+    open = False
+
+    def can_execute(self, entity: Any) -> bool:
+        """Return whether the executor may care for something."""
+        return self.open and not isinstance(entity, Subscription)
+
+    def beginning_execution(self, entity: Any) -> bool:
+        """Return that there is nothing to wait for."""
+        return True
+
+    def ending_execution(self, entity: Any) -> None:
+        """Do nothing."""
+
+
+@dataclass
+class Input:
+    """A subscription, and who publishes what it hears."""
+
+    kind: str
+    reliable: bool
+    latched: bool
+    subscription: Subscription
+    offers: list[Any] = field(default_factory=list)  # publishers when they were last seen
+
+
+class Intake:
+    """
+    Subscribes to topics and hands out what came, in the order in which it came.
+
+    Topics of the contract are listened to before anybody publishes them, others as soon as
+    look() finds them.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        wanted: Callable[[str], bool],
+        refuse: Callable[[str], None],
+        wait: float = 0.0,
+    ) -> None:
+        """
+        Listen to the contract in the node's namespace; refuse(why) is told what cannot be.
+
+        With wait [s] messages are in the order in which they were sent, if none is later than so.
+        """
+        self.node, self.wanted, self.refuse = node, wanted, refuse
+        self.inputs: dict[str, Input] = {}
+        self.refused: dict[str, str] = {}
+        self.losses = Losses(self._publishers)
+        self.wait_ns, self.order = round(wait * 1e9), _sent if wait else _received
+        self.group = Held()
+        self.kept: list[Row] = []  # came after the last look at another topic began
+        self.expect(node.get_namespace().rstrip('/'))
+        self.look()
+
+    # ---- messages ----
+
+    def take(self, everything: bool = False) -> list[Row]:
+        """Return what has come so far; everything: even what others may come in front of."""
+        self.group.open = False
+        now, rows = time.time_ns() - self.wait_ns, self.kept
+        for name, heard in self.inputs.items():
+            handle, kind = heard.subscription.handle, heard.subscription.msg_type
+            with handle:
+                for _ in range(DEPTH):
+                    taken = handle.take_message(kind, True)
+                    if taken is None:
+                        break
+                    rows.append((name, *taken))
+        rows.sort(key=self.order)
+        cut = len(rows) if everything else bisect_right(rows, now, key=self.order)
+        self.kept = rows[cut:]
+        return rows[:cut]
+
+    # ---- topics ----
+
+    def expect(self, namespace: str, n_shepherds: int = 0) -> None:
+        """Listen to the topics of the contract in a namespace, whether they are there or not."""
+        topics, profiles = contract()
+        for row in topics.values():
+            for h in range(n_shepherds) if '{h}' in row.name else (0,):
+                name = row.name.format(h=h)
+                name = name if name.startswith('/') else f'{namespace}/{name}'
+                if name not in self.inputs and self.wanted(name):
+                    profile = profiles[row.profile]
+                    latched = profile.durability == 'transient_local'
+                    try:
+                        self._subscribe(name, row.type, profile.reliability == 'reliable', latched)
+                    except (AttributeError, ImportError):
+                        continue  # look() refuses it once somebody publishes it
+
+    def look(self) -> None:
+        """Listen to what is new, as its publishers offer it."""
+        for name, _ in self.node.get_topic_names_and_types():
+            if self.wanted(name):
+                offers = self.node.get_publishers_info_by_topic(name)
+                heard = self.inputs.get(name)
+                if offers and (heard is None or _ids(offers) != _ids(heard.offers)):
+                    self._meet(name, offers)
+
+    def _meet(self, name: str, offers: list[Any]) -> None:
+        """Listen to a topic that others publish than before."""
+        heard = self.inputs.get(name)
+        kinds = sorted({offer.topic_type for offer in offers})
+        if heard is not None and heard.offers:
+            kinds = sorted({*kinds, heard.kind})
+        if len(kinds) > 1:
+            self._refuse(name, f'it has the types {", ".join(kinds)}, expected one')
+            return
+        profiles = [offer.qos_profile for offer in offers]
+        reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
+        latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
+        if heard is not None and heard.offers:  # what suits those from before has to suit these
+            reliable, latched = reliable and heard.reliable, latched and heard.latched
+        if heard is None or (kinds[0], reliable, latched) != (
+            heard.kind, heard.reliable, heard.latched,
+        ):  # fmt: skip
+            try:
+                heard = self._subscribe(name, kinds[0], reliable, latched)
+            except (AttributeError, ImportError, FileNotFoundError, ValueError) as error:
+                self._refuse(name, f'{kinds[0]} is missing ({error}): install it or --exclude')
+                return
+        if not heard.offers:
+            self.node.get_logger().info(f'recording {name} ({heard.kind})')
+            ours = known(name)
+            if ours is not None:
+                self.expect(ours.namespace)
+        heard.offers = offers
+        self.losses.topics[name].publishers |= _ids(offers)
+
+    def _subscribe(self, name: str, kind: str, reliable: bool, latched: bool) -> Input:
+        """Listen to a topic, instead of what was listened to before."""
+        message = message_type(kind)
+        if kind not in wire_types():
+            nested_text(kind, installed_text)  # raises FileNotFoundError
+        before = self.inputs.get(name)
+        if before is not None:
+            self.kept = self.take(everything=True)
+            self.node.destroy_subscription(before.subscription)
+        subscription = self.node.create_subscription(
+            message,
+            name,
+            _never,
+            QoSProfile(
+                depth=DEPTH,
+                reliability=ReliabilityPolicy.RELIABLE
+                if reliable
+                else ReliabilityPolicy.BEST_EFFORT,
+                durability=DurabilityPolicy.TRANSIENT_LOCAL
+                if latched
+                else DurabilityPolicy.VOLATILE,
+            ),
+            callback_group=self.group,
+            raw=True,
+            event_callbacks=SubscriptionEventCallbacks(
+                message_lost=partial(self.losses.lost, name), use_default_callbacks=False
+            ),
+        )
+        self.inputs[name] = Input(kind, reliable, latched, subscription)
+        return self.inputs[name]
+
+    def _refuse(self, name: str, why: str) -> None:
+        """Go on without a topic; the bag is not whole then."""
+        if self.refused.get(name) != why:
+            self.refused[name] = why
+            self.refuse(f'{name} is not recorded: {why}')
+
+    def _publishers(self, name: str) -> set[bytes]:
+        return _ids(self.node.get_publishers_info_by_topic(name))
+
+    def described(self, name: str) -> dict[str, Any]:
+        """Return a topic as it is announced to a bag."""
+        heard = self.inputs[name]
+        offers = self.node.get_publishers_info_by_topic(name) or heard.offers
+        profiles = [offer.qos_profile for offer in offers]
+        qos = tuple(Qos(p.reliability.name.lower(), p.durability.name.lower()) for p in profiles)
+        topic: dict[str, Any] = {'type_name': heard.kind, 'qos': qos}
+        if heard.kind not in wire_types():
+            schema = 'ros2msg', nested_text(heard.kind, installed_text).encode()
+            hash_text = str(offers[0].topic_type_hash) if offers else ''
+            topic |= {'schema': schema, 'hash_text': hash_text}
+        return topic
+
+
+def _received(row: Row) -> int:
+    return row[2]['received_timestamp']
+
+
+def _sent(row: Row) -> int:
+    return row[2]['source_timestamp'] or row[2]['received_timestamp']
+
+
+def _ids(offers: list[Any]) -> set[bytes]:
+    return {bytes(offer.endpoint_gid) for offer in offers}
+
+
+def _never(raw: bytes) -> None:
+    """Stand for the callback of a subscription whose messages are taken by hand."""

@@ -1,0 +1,1 @@
+"""The paper: statements, quantities, verdicts, figures."""

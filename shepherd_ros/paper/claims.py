@@ -1,0 +1,141 @@
+"""What the paper states (section 5), as quantities with bounds, and the rule of a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from shepherd_ros.experiments.bootstrap import Array, drawn_means, percentiles
+from shepherd_ros.experiments.samples import Samples
+
+AGREES, DISAGREES, UNDECIDED = 'agrees', 'disagrees', 'undecided'
+ABOUT = 0.2  # a ratio is `about` a value if it is within this share of it
+NEAR = 0.02  # a fraction is near a value if it is within this
+
+# what is counted until completion instead of over the whole episode
+TO_COMPLETION = {
+    'shepherd_path_length': 'shepherd_path_to_completion',
+    'flock_path_length': 'flock_path_to_completion',
+}
+
+
+Where = Callable[[Array], NDArray[np.bool_]]  # which points of the axis
+
+
+class MissingError(Exception):
+    """What a quantity needs and the rows do not have."""
+
+
+class Sweep:
+    """Means over the axis of an experiment, (P, draws) each, of a policy and the baselines."""
+
+    def __init__(self, samples: Samples, policy: str, to_completion: bool = False) -> None:
+        """Take the samples; policy stands for the paper's RL, empty if there is none."""
+        self.samples, self.policy, self.to_completion = samples, policy, to_completion
+        self.asked: set[tuple[str, str]] = set()  # method and metric of which means were taken
+        axis = samples.experiment.axes[0]
+        points = range(len(samples.settings)) if axis == 'case' else samples.axis(axis)
+        self.x: Array = np.array([float(x) for x in points])
+
+    def mean(self, method: str, metric: str, where: Where | None = None) -> Array:
+        """Return means of RL, strombom or pierson, (P, 1 + draws); the first is not drawn."""
+        self.asked.add((method, metric))
+        name = self.policy if method == 'RL' else method
+        metric = TO_COMPLETION.get(metric, metric) if self.to_completion else metric
+        if (name, metric) not in self.samples.values:
+            raise MissingError(f'no rows of {name or "a policy"}')
+        values = self.samples.values[name, metric]
+        if where is not None:
+            chosen = where(self.x)
+            if not bool(np.any(chosen)):
+                raise MissingError('no rows at these points')
+            values = values[chosen]
+        if np.isnan(values).any():
+            raise MissingError(f'rows of {name} are not complete')
+        own = values.mean(axis=-1, keepdims=True)
+        return np.concatenate([own, drawn_means(values)], axis=-1)
+
+    def at(self, method: str, metric: str, x: float) -> Array:
+        """Return the means at one point, (1 + draws,)."""
+        return self.mean(method, metric, lambda axis: np.isclose(axis, x))[0]
+
+
+Quantity = Callable[[Sweep], Array]  # -> (1 + draws,)
+
+
+@dataclass(frozen=True)
+class Clause:
+    """A number, and the bounds within which it is what the paper states."""
+
+    text: str
+    quantity: Quantity
+    low: float = -math.inf
+    high: float = math.inf
+
+    @property
+    def bounds(self) -> str:
+        """Return the bounds in words."""
+        if math.isinf(self.low):
+            return f'below {self.high:.3g}'
+        if math.isinf(self.high):
+            return f'above {self.low:.3g}'
+        return f'{self.low:.3g} to {self.high:.3g}'
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A statement of the paper about one experiment; it holds if all its clauses do."""
+
+    experiment: str
+    statement: str
+    clauses: tuple[Clause, ...]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What came of a clause: our number, its interval, the verdict, and why if there is none."""
+
+    clause: Clause
+    value: float
+    low: float
+    high: float
+    verdict: str
+    reason: str = ''
+
+
+def verdict(low: float, high: float, least: float, most: float) -> str:
+    """
+    Return the verdict on a number with interval [low, high] that should be in [least, most].
+
+    Agrees if the whole interval lies within the bounds, disagrees if none of it does, else
+    undecided; also undecided without an interval.
+    """
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return UNDECIDED
+    if least <= low and high <= most:
+        return AGREES
+    return DISAGREES if high < least or low > most else UNDECIDED
+
+
+def judge(clause: Clause, sweep: Sweep) -> Finding:
+    """Return what the rows say about a clause."""
+    nan = math.nan
+    if len(sweep.samples.seeds) < 2:
+        return Finding(clause, nan, nan, nan, UNDECIDED, 'a single episode has no interval')
+    try:
+        with np.errstate(divide='ignore', invalid='ignore'):  # then there is no verdict
+            drawn = clause.quantity(sweep)
+    except MissingError as error:
+        return Finding(clause, nan, nan, nan, UNDECIDED, str(error))
+    low, high = (float(end) for end in percentiles(drawn[1:]))
+    return Finding(clause, float(drawn[0]), low, high, verdict(low, high, clause.low, clause.high))
+
+
+def together(verdicts: list[str]) -> str:
+    """Return the verdict on a statement from those on its clauses."""
+    if DISAGREES in verdicts:
+        return DISAGREES
+    return AGREES if verdicts and set(verdicts) == {AGREES} else UNDECIDED

@@ -1,0 +1,41 @@
+"""Presets side by side: how many of the paper's numbers about the baselines each agrees with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from shepherd_ros.config import unknown_name
+from shepherd_ros.paper.preset_search import findings, Known, worth
+from shepherd_ros.paper.report import bounds, number
+from shepherd_ros.sim.presets import PRESETS
+
+
+def preset_scores(
+    names: Sequence[str],
+    episodes: int,
+    steps: int = 1000,
+    tell: Callable[[str], None] = lambda text: None,
+) -> str:
+    """
+    Return a table in Markdown, a row for each number and a column for each preset.
+
+    tell hears which preset is run, as each takes minutes.
+    """
+    for name in names:
+        if name not in PRESETS:
+            raise unknown_name('preset', name, sorted(PRESETS))
+    known: Known = {}
+    found = {}
+    for k, name in enumerate(names, start=1):
+        tell(f'preset {name}, {k} of {len(names)}: {episodes} episodes a cell, some minutes')
+        found[name] = findings(PRESETS[name], episodes, steps, known)
+    head = ['the paper states', 'number', 'agrees if', *(f'`{name}`' for name in found)]
+    lines = [head, ['---', '---', '--:', *('--:' for _ in found)]]
+    for key, first in found[names[0]].items():
+        text = first.clause.text
+        each = [f'{number(f[key])}, {f[key].verdict}' for f in found.values()]
+        lines.append([key.removesuffix(f': {text}'), text, bounds(first.clause), *each])
+    scores = [worth(f.verdict for f in each.values()) for each in found.values()]
+    count = len(lines) - 2
+    lines.append(['**score**', '', '', *(f'**{score:g} of {count}**' for score in scores)])
+    return '\n'.join(f'| {" | ".join(line)} |' for line in lines)

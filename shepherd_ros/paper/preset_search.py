@@ -1,0 +1,225 @@
+"""
+Search what the paper leaves open for the choices that agree with most of its statements.
+
+Only the baselines drive, over the points of each figure that its statements name: a statement
+about them costs seconds to check, one about a learned policy a training. Most candidates are the
+best so far with one choice changed, some are drawn at random; the default preset is the first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, replace
+import json
+import math
+from pathlib import Path
+import random
+from typing import Any
+
+import pyarrow as pa  # type: ignore[import-untyped]
+from shepherd_ros.config import ConfigError
+from shepherd_ros.experiments.catalog import BASELINES, Experiment, EXPERIMENTS
+from shepherd_ros.experiments.cells import Cell, run_cell
+from shepherd_ros.experiments.results import Rows
+from shepherd_ros.experiments.samples import samples_of
+from shepherd_ros.experiments.setting import settled
+from shepherd_ros.paper.claims import AGREES, DISAGREES, Finding, judge, Sweep, UNDECIDED
+from shepherd_ros.paper.statements import CLAIMS
+from shepherd_ros.sim.presets import Preset, PRESETS
+
+NAME = 'candidate'  # of the preset while it is tried
+# option -> values; the first is that of the default preset
+CHOICES: dict[str, tuple[Any, ...]] = {
+    'dt': (0.5,),  # that of the policies, which have to hold with the same choices
+    'flock.strombom.sheep_range': (1.0, 2 / 3, 4 / 3, 2.0),
+    'flock.strombom.normalize_shepherds': (False, True),
+    'flock.reynolds.max_acceleration': (1 / 3, 1.0, 3.0),
+    'controllers.strombom.position_law': ('strombom', 'elfiqi'),
+    'controllers.strombom.interaction_range': (0.0, 2 / 3, 4 / 3, 2.0),
+    'controllers.strombom.arc_margin': (0.0, 1.5, 2.0, 6.0, 10.0, 22.0),
+    'controllers.strombom.stop_range': (3.0, 0.0, 1.5, 4.0, 4.5, 5.0, 6.0),
+    'controllers.strombom.wing_spacing': (0.0, 0.2, 0.4),
+    'controllers.pierson.lead': (2.0, 1.0, 4.0),
+    'controllers.pierson.gain': (0.05, 0.1, 0.2),
+    'controllers.pierson.min_radius': (4.0, 2.0, 8.0),
+    'controllers.pierson.spread_factor': (3.0, 2.0, 5.0),
+    'controllers.pierson.weakest_push': (0.15, 0.05, 0.4),
+    'controllers.pierson.tracking_gain': (0.0, 0.5, 1.0),
+}
+POINTS = {
+    'fig4': ('sheep', (10, 50, 100)),
+    'fig5': ('shepherds', (1, 3, 4, 6)),
+    'fractions': ('', ()),  # those of the two before
+    'fig6': ('noise', (0.0, 0.4, 0.6, 2.0)),
+    'fig7': ('repulsion', (0.5, 1.0, 3.0, 4.0)),
+    'fig8': ('sheep', (10, 50, 100)),
+}
+NEARLY = 0.4  # what a number next to its bounds adds
+SHARE_NEW = 0.1  # of candidates that are drawn anew
+
+Candidate = dict[str, Any]
+Known = dict[str, pa.Table]  # rows of cells by what decides them
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A candidate, and what came of the numbers about the baselines alone."""
+
+    candidate: Candidate
+    verdicts: dict[str, str]  # by statement and number
+    numbers: dict[str, float]  # the same
+    gaps: dict[str, float]  # from a number to its bounds, over the bound; 0 within them
+
+    @property
+    def score(self) -> float:
+        """Return what the verdicts are worth."""
+        return worth(self.verdicts.values())
+
+    @property
+    def merit(self) -> float:
+        """Return the score, and less than half for a number that disagrees the nearer it is."""
+        wrong = (gap for key, gap in self.gaps.items() if self.verdicts[key] == DISAGREES)
+        return self.score + sum(NEARLY / (1 + gap) for gap in wrong)
+
+
+def gap_of(value: float, low: float, high: float) -> float:
+    """Return how far a number is from its bounds, over the nearer one; inf for NaN."""
+    if math.isnan(value):
+        return math.inf
+    bound = min(max(value, low), high)
+    return abs(value - bound) / max(abs(bound), 1e-9)
+
+
+def preset_of(candidate: Candidate) -> Preset:
+    """Return a candidate as a preset."""
+    parts: dict[str, dict[str, dict[str, Any]]] = {'flock': {}, 'controllers': {}}
+    for path, value in candidate.items():
+        if path != 'dt':
+            kind, name, option = path.split('.')
+            parts[kind].setdefault(name, {})[option] = value
+    return Preset('under trial', candidate['dt'], **parts)
+
+
+def short(name: str) -> Experiment:
+    """Return an experiment with the points of POINTS, in the preset under trial."""
+    whole = EXPERIMENTS[name].with_preset(NAME)
+    field, values = POINTS[name]
+    if not field:
+        known = [s for other in ('fig4', 'fig5') for s in short(other).settings]
+        return replace(whole, settings=tuple(dict.fromkeys(known)))
+    return replace(whole, settings=tuple(s for s in whole.settings if getattr(s, field) in values))
+
+
+def findings(
+    preset: Preset, episodes: int, steps: int = 1000, known: Known | None = None
+) -> dict[str, Finding]:
+    """
+    Run the baselines in a preset; return what comes of the numbers about them alone, by text.
+
+    Cells that known holds are not run again; those that are run are put there.
+    """
+    PRESETS[NAME] = preset
+    known = {} if known is None else known
+    try:
+        experiments = {name: short(name) for name in POINTS}
+        settings = dict.fromkeys(settled(s) for e in experiments.values() for s in e.settings)
+        tables = []
+        for setting in settings:
+            for name in BASELINES:
+                cell = Cell(replace(setting, steps=steps), name, 0, episodes)
+                key = json.dumps(cell.config())  # without the name of the preset
+                if key not in known:
+                    known[key] = run_cell(cell)
+                tables.append(known[key])
+        rows = Rows(pa.concat_tables(tables))
+        found = {}
+        for claim in CLAIMS:
+            samples = samples_of(rows, experiments[claim.experiment])
+            assert samples is not None, 'all of an experiment was run'
+            for clause in claim.clauses:
+                finding = judge(clause, Sweep(samples, ''))
+                if not finding.reason:  # else it needs a policy
+                    found[f'{claim.experiment}: {claim.statement}: {clause.text}'] = finding
+        return found
+    finally:
+        del PRESETS[NAME]
+
+
+def worth(verdicts: Iterable[str]) -> float:
+    """Return how many numbers agree; one that is undecided counts half."""
+    return sum({AGREES: 1.0, UNDECIDED: 0.5}.get(verdict, 0.0) for verdict in verdicts)
+
+
+def attempt(
+    candidate: Candidate, episodes: int, steps: int = 1000, known: Known | None = None
+) -> Tried:
+    """Judge a candidate's choices; known as in findings."""
+    found = findings(preset_of(candidate), episodes, steps, known)
+    return Tried(
+        candidate,
+        {key: f.verdict for key, f in found.items()},
+        {key: f.value for key, f in found.items()},
+        {key: gap_of(f.value, f.clause.low, f.clause.high) for key, f in found.items()},
+    )
+
+
+def proposals(seed: int, known: list[Tried]) -> Iterator[Candidate]:
+    """Yield candidates without end, none twice; known grows meanwhile."""
+    draw = random.Random(seed)
+    seen: list[Candidate] = []
+    while True:
+        if not seen:
+            candidate = {path: values[0] for path, values in CHOICES.items()}
+        elif draw.random() < SHARE_NEW:
+            candidate = {path: draw.choice(values) for path, values in CHOICES.items()}
+        else:
+            best = max(reversed(known), key=lambda tried: tried.merit).candidate  # the latest
+            path = draw.choice(list(CHOICES))
+            candidate = best | {path: draw.choice(CHOICES[path])}
+        if candidate not in seen:
+            seen.append(candidate)
+            yield candidate
+
+
+def read_tried(path: Path) -> list[Tried]:
+    """Return what a file holds, a line each; nothing if it is not there; or ConfigError."""
+    if not path.exists():
+        return []
+    found = []
+    for number, line in enumerate(path.read_bytes().splitlines(), start=1):
+        try:
+            found.append(Tried(**json.loads(line)))
+        except (TypeError, ValueError) as error:
+            raise ConfigError(
+                f'line {number} of {path} is no candidate that this version has tried: remove '
+                'that line and those after it, or give another --out'
+            ) from error
+    return found
+
+
+def search(path: Path, seed: int, count: int, episodes: int, steps: int = 1000) -> Iterator[Tried]:
+    """
+    Try candidates until the file holds so many; yield each, the old ones too.
+
+    ConfigError if the file is of another search.
+    """
+    old = read_tried(path)
+    known: list[Tried] = []
+    cells: Known = {}
+    source = proposals(seed, known)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    while len(known) < count:
+        candidate = next(source)
+        if len(known) < len(old):
+            tried = old[len(known)]
+            if tried.candidate != candidate:
+                raise ConfigError(
+                    f'line {len(known) + 1} of {path} is not what this search tries: it is of '
+                    'another --seed or version; give another --out'
+                )
+        else:
+            tried = attempt(candidate, episodes, steps, cells)
+            with path.open('a', encoding='utf-8') as file:
+                file.write(json.dumps(asdict(tried)) + '\n')
+        known.append(tried)
+        yield tried

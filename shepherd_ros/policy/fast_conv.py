@@ -1,0 +1,175 @@
+"""
+A convolution, ReLU and pooling as one step, in a form that is fast on a CPU.
+
+The same function as torch's own operations in turn (`plain_stage`), in another order: pooling
+comes before ReLU, channels are last, and the gradient goes only to the winners.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from shepherd_ros.sim.compiled import AVAILABLE, compiled
+from shepherd_ros.sim.fused import fused
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+WINDOW = 5
+DEAD = WINDOW  # the winner where no value is above zero: nobody gets the gradient
+INTEGER = {torch.bfloat16: torch.int16, torch.float32: torch.int32}
+
+
+@compiled
+def _pool(x, out, winner):
+    """
+    Pool the bits of floats x (R, W, C) to out (R, P, C) and the index of the winner.
+
+    Floats above zero are in the same order as their bits, and the others have no say.
+    """
+    for r in range(out.shape[0]):
+        for p in range(out.shape[1]):
+            for c in range(out.shape[2]):
+                best, who = x[r, p * WINDOW, c], 0
+                for j in range(1, WINDOW):
+                    value = x[r, p * WINDOW + j, c]
+                    if value > best:
+                        best, who = value, j
+                out[r, p, c] = max(best, 0)
+                winner[r, p, c] = who if best > 0 else DEAD
+
+
+@compiled
+def _spread(gradient, winner, out):
+    """Give the bits of gradient (R, P, C) to the winners in out (R, W, C), zero to the others."""
+    for r in range(out.shape[0]):
+        for p in range(gradient.shape[1]):
+            for j in range(WINDOW):
+                for c in range(gradient.shape[2]):
+                    mine = winner[r, p, c] == j
+                    out[r, p * WINDOW + j, c] = gradient[r, p, c] if mine else 0
+        for w in range(gradient.shape[1] * WINDOW, out.shape[1]):
+            for c in range(gradient.shape[2]):
+                out[r, w, c] = 0
+
+
+def _bits(tensor: Tensor) -> np.ndarray:
+    """Return the bits of a contiguous float tensor as an array of integers."""
+    return tensor.detach().view(INTEGER[tensor.dtype]).numpy()
+
+
+def usable(x: Tensor) -> bool:
+    """Return whether the compiled form exists for a tensor."""
+    return AVAILABLE and x.device.type == 'cpu' and x.dtype in INTEGER
+
+
+def pool(x: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the pooled (B, W // 5, C) of a contiguous x (B, W, C) and who won."""
+    batch, width, channels = x.shape
+    out = x.new_empty(batch, width // WINDOW, channels)
+    winner = torch.empty(out.shape, dtype=torch.uint8, device='cpu')
+    _pool(_bits(x), _bits(out), winner.numpy())
+    return out, winner
+
+
+def spread(gradient: Tensor, winner: Tensor, width: int) -> Tensor:
+    """Return the gradient (B, width, C) of what was pooled from that (B, P, C) of the result."""
+    out = gradient.new_empty(gradient.shape[0], width, gradient.shape[2])
+    _spread(_bits(gradient.contiguous()), winner.numpy(), _bits(out))
+    return out
+
+
+@fused
+def plain_stage(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """Return max over five neighbours of relu(conv(x)); (B, C, L) -> (B, F, (L - K + 1) // 5)."""
+    x = functional.conv1d(x, weight.to(x.dtype), bias.to(x.dtype))
+    return functional.max_pool1d(functional.relu(x), WINDOW)
+
+
+def first_stage(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """
+    Return plain_stage() of an input that needs no gradient; (B, L, C) -> (B, P, F).
+
+    weight is (F, C, K), bias (F).
+    """
+    if not usable(x):
+        return plain_stage(x.transpose(1, 2), weight, bias).transpose(1, 2)
+    return _FirstStage.apply(x, _window_weight(weight, bias).to(x.dtype))
+
+
+def second_stage(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """Return plain_stage(); (B, L, C) -> (B, P, F); weight is (F, C, K), bias (F)."""
+    if not usable(x):
+        return plain_stage(x.transpose(1, 2), weight, bias).transpose(1, 2)
+    flat = weight[:, :, None].to(x.dtype).contiguous(memory_format=torch.channels_last)
+    return _SecondStage.apply(x.contiguous(), flat, bias.to(x.dtype))
+
+
+def _window_weight(weight: Tensor, bias: Tensor) -> Tensor:
+    """
+    Return the matrix (5 F, (K + 4) C + 1) from a window of inputs and a one to five outputs.
+
+    The outputs that are pooled together come from one window of K + 4 inputs; they differ in where
+    the filter begins.
+    """
+    taps = weight.transpose(1, 2)  # (F, K, C)
+    shifted = [functional.pad(taps, (0, 0, j, WINDOW - 1 - j)).flatten(1) for j in range(WINDOW)]
+    return torch.cat([torch.cat(shifted), bias.repeat(WINDOW)[:, None]], dim=1)
+
+
+class _FirstStage(torch.autograd.Function):
+    """One product of matrices: good for few channels, where a convolution is slow."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor) -> Tensor:
+        batch, length, channels = x.shape
+        width = weight.shape[1] - 1
+        count = length - width // channels + WINDOW  # outputs before pooling
+        windows = x.new_ones(batch, count // WINDOW, width + 1)
+        strides = (length * channels, WINDOW * channels, 1)
+        windows[..., :-1] = x.contiguous().as_strided((*windows.shape[:2], width), strides)
+        windows = windows.flatten(0, 1)
+        out = (windows @ weight.T).view(batch, -1, weight.shape[0] // WINDOW)
+        pooled, winner = pool(out)
+        ctx.save_for_backward(windows, winner)
+        return pooled
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor]:
+        windows, winner = ctx.saved_tensors
+        wide = spread(gradients[0], winner, winner.shape[1] * WINDOW)
+        return None, (windows.T @ wide.view(len(windows), -1)).T
+
+
+class _SecondStage(torch.autograd.Function):
+    """A convolution with channels last in memory."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+        out = functional.conv2d(x.transpose(1, 2)[:, :, None], weight, bias)
+        out = out[:, :, 0].transpose(1, 2).contiguous()
+        pooled, winner = pool(out)
+        ctx.save_for_backward(x, weight, winner)
+        ctx.width = out.shape[1]
+        return pooled
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        x, weight, winner = ctx.saved_tensors
+        wide = spread(gradients[0], winner, ctx.width)
+        grads = torch.ops.aten.convolution_backward(
+            wide.transpose(1, 2)[:, :, None],
+            x.transpose(1, 2)[:, :, None],
+            weight,
+            [weight.shape[0]],
+            [1, 1],
+            [0, 0],
+            [1, 1],
+            False,
+            [0, 0],
+            1,
+            [True, True, True],
+        )
+        return grads[0][:, :, 0].transpose(1, 2), grads[1], grads[2]

@@ -1,0 +1,1 @@
+"""The content of bags: episodes, checks, exports, replay."""

@@ -1,0 +1,244 @@
+"""Checks that a recording is complete and ours: what a data set is made from has no gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+import json
+
+from shepherd_ros.config import unknown_name
+from shepherd_ros.recordings.grouping import (
+    COMMANDS,
+    Group,
+    Groups,
+    namespaces,
+    SCANS,
+    SHEEP,
+    SHEPHERDS,
+    State,
+)
+from shepherd_ros.rosbag2.errors import BagError
+from shepherd_ros.rosbag2.reader import Bag
+from shepherd_ros.rosbag2.writer import CONTRACT_KEY, LOST_KEY
+from shepherd_ros.wire.contract import CHANNELS, contract_hash, known, known_text
+
+PARTS = ('scans', 'commands')
+MOST = 1000  # findings that are kept
+
+
+@dataclass(frozen=True)
+class Finding:
+    """
+    Something that is not as it should be.
+
+    kind is one of gap, order, count, type, schema, contract, metadata, stray, absent, damage,
+    lost.
+    """
+
+    kind: str
+    what: str
+    episode: int | None = None
+    step: int | None = None
+    stamp_ns: int | None = None
+    topic: str = ''
+
+    def __str__(self) -> str:
+        """Return the finding as a sentence that begins with its place."""
+        place = [
+            f'{name} {value}'
+            for name, value in (('episode', self.episode), ('step', self.step))
+            if value is not None
+        ]
+        if self.stamp_ns is not None:
+            place.append(f'stamp {self.stamp_ns / 1e9:.9f}')
+        if self.topic:
+            place.append(self.topic)
+        return f'{self.kind}: {", ".join(place)}{": " if place else ""}{self.what}'
+
+
+@dataclass
+class CheckResult:
+    """What was found in a bag."""
+
+    findings: list[Finding] = field(default_factory=list)  # the first MOST
+    absent: list[str] = field(default_factory=list)  # parts that were not recorded at all
+    unfinished: list[int] = field(default_factory=list)  # numbers of episodes that end early
+    notes: list[str] = field(default_factory=list)
+    episodes: int = 0
+    steps: int = 0  # states with poses of both kinds
+
+    @property
+    def ok(self) -> bool:
+        """Return whether nothing is wrong."""
+        return not self.findings
+
+    def add(self, *findings: Finding) -> None:
+        """Keep findings, as long as there are not too many."""
+        self.findings += findings[: MOST - len(self.findings)]
+
+    def text(self, most: int = 10) -> str:
+        """Return the result in lines for a terminal."""
+        lines = [f'{self.episodes} episodes, {self.steps} states']
+        if self.absent:
+            lines.append(f'not recorded: {", ".join(self.absent)}')
+        if self.unfinished:
+            lines.append(f'unfinished episodes: {", ".join(map(str, self.unfinished))}')
+        lines += self.notes
+        lines += [str(finding) for finding in self.findings[:most]]
+        if len(self.findings) > most:
+            lines.append(f'and {len(self.findings) - most} more')
+        return '\n'.join([*lines, 'ok' if self.ok else 'not ok'])
+
+
+def check_bag(bag: Bag, require: Collection[str] = ()) -> CheckResult:
+    """
+    Return what is wrong with a bag; damage in the middle is a finding too.
+
+    require names parts, scans or commands, that must have been recorded.
+    """
+    for name in require:
+        if name not in PARTS:
+            raise unknown_name('require', name, PARTS)
+    result = CheckResult()
+    result.add(*_identity(bag))
+    spaces = namespaces(bag)
+    if not spaces:
+        result.add(Finding('absent', 'no episode was recorded'))
+    try:
+        for namespace in spaces:
+            _check_namespace(bag, namespace, require, result)
+    except BagError as error:
+        result.add(Finding('damage', error.what))
+    return result
+
+
+def _identity(bag: Bag) -> Iterator[Finding]:
+    """Yield what is wrong with types, schemas, contract and metadata of a bag."""
+    for topic in bag.topics.values():
+        ours = known(topic.name)
+        if ours is None:
+            continue
+        if topic.type not in ours.types:
+            expected = ' or '.join(ours.types)
+            yield Finding('type', f'{topic.type!r}, expected {expected}', topic=topic.name)
+        elif bag.schemas[topic.type] != ('ros2msg', known_text(topic.type)):
+            yield Finding('schema', f'the text of {topic.type} is not ours', topic=topic.name)
+    theirs = bag.custom_data.get(CONTRACT_KEY)
+    if theirs not in (None, contract_hash()):
+        yield Finding('contract', f'{CONTRACT_KEY} is {theirs!r:.20}, ours {contract_hash()!r:.9}')
+    yield from _lost(bag.custom_data.get(LOST_KEY, '{}'))
+    if bag.noted_count not in (None, bag.count):
+        yield Finding('metadata', f'{bag.noted_count} messages are noted, {bag.count} are there')
+
+
+def _lost(text: str) -> Iterator[Finding]:
+    """Yield what a recorder says that it missed."""
+    try:
+        for topic, count in json.loads(text).items():
+            what = f'{int(count)} messages did not reach the recorder'
+            yield Finding('lost', what, topic=str(topic))
+    except (AttributeError, TypeError, ValueError, RecursionError):
+        yield Finding('metadata', f'{LOST_KEY} is {text!r:.40}, expected numbers by topic')
+
+
+def _check_namespace(
+    bag: Bag, namespace: str, require: Collection[str], result: CheckResult
+) -> None:
+    groups = Groups(bag, namespace)
+    recorded = {
+        (ours.topic.name, ours.shepherd)
+        for name, ours in groups.wanted.items()
+        if bag.topics[name].count
+    }
+    scanned = {h for name, h in recorded if name in SCANS and h is not None}
+    commanded = any(name == COMMANDS for name, _ in recorded)
+    for part, there in (('scans', bool(scanned)), ('commands', commanded)):
+        if not there:
+            result.absent.append(f'{namespace} {part}'.strip())
+            if part in require:
+                result.add(Finding('absent', f'no {part} were recorded', topic=namespace))
+    before: Group | None = None
+    expected = _Expected(namespace, scanned, commanded)
+    for group in groups:
+        if before is not None:
+            _check_group(before, group, expected, result)
+        before = group
+    if before is not None:
+        _check_group(before, None, expected, result)
+    for topic, count in groups.stray.items():
+        result.add(Finding('stray', f'{count} messages belong to no episode', topic=topic))
+
+
+@dataclass(frozen=True)
+class _Expected:
+    """What every state of a namespace should have."""
+
+    namespace: str
+    scanned: set[int]  # shepherds with a lidar
+    commanded: bool
+
+    def missing(self, state: State, n_shepherds: int, answered: bool) -> Iterator[str]:
+        """Yield the topics that a state lacks."""
+        if state.sheep is None:
+            yield f'{self.namespace}/{SHEEP}'
+        if state.shepherds is None:
+            yield f'{self.namespace}/{SHEPHERDS}'
+        for h in range(n_shepherds):
+            for channel, name in enumerate(SCANS if h in self.scanned else ()):
+                if (h, channel) not in state.scans:
+                    yield f'{self.namespace}/{name.format(h=h)}'
+        for h in range(n_shepherds if self.commanded and answered else 0):
+            if h not in state.commands:
+                yield f'{self.namespace}/{COMMANDS.format(h=h)}'
+
+
+def _check_group(
+    group: Group, following: Group | None, expected: _Expected, result: CheckResult
+) -> None:
+    """Check one episode; following is the next one, None after the last."""
+    info, last = group.info, group.last_step
+    result.episodes += 1
+    result.steps += sum(1 for s in group.states.values() if s.sheep and s.shepherds)
+    final = group.states.get(last, State())
+    whole = last == info.episode_steps
+    if following is None:  # the recording may have ended within a state
+        whole = whole and not any(expected.missing(final, info.n_shepherds, answered=False))
+    # a world that was told to begin anew goes on with the next stamp
+    told = following is None or following.info.start_ns == info.start_ns + (last + 1) * info.dt_ns
+    if not whole:
+        result.unfinished.append(info.number)
+    for topic, stamp_ns in group.disorder:
+        step = (stamp_ns - info.start_ns) // info.dt_ns
+        what = 'it came after a later stamp'
+        result.add(Finding('order', what, info.number, step, stamp_ns, topic))
+    for topic, stamp_ns in group.astray:
+        what = 'the stamp is that of no state'
+        result.add(Finding('stray', what, info.number, None, stamp_ns, topic))
+    if not group.goals and last >= 0:
+        result.add(Finding('gap', 'no goal was recorded', info.number))
+    for step in range(last + 1 if whole or told else info.episode_steps + 1):
+        state = group.states.get(step, State())
+        stamp_ns = info.start_ns + step * info.dt_ns
+        place = info.number, step, stamp_ns
+        if step < last or whole or not told:
+            for topic in expected.missing(state, info.n_shepherds, step < last):
+                result.add(Finding('gap', 'missing', *place, topic))
+        result.add(*_counts(group, state, place))
+        if len(result.findings) == MOST:
+            return
+
+
+def _counts(group: Group, state: State, place: tuple[int, int, int]) -> Iterator[Finding]:
+    """Yield what is wrong with the sizes of the arrays of a state."""
+    info = group.info
+    for poses, name, count in (
+        (state.sheep, SHEEP, info.n_sheep),
+        (state.shepherds, SHEPHERDS, info.n_shepherds),
+    ):
+        if poses is not None and len(poses.xy) != count:
+            yield Finding('count', f'{len(poses.xy)} poses, expected {count}', *place, name)
+    for h in range(info.n_shepherds):
+        sizes = {len(state.scans.get((h, c), ())) for c in range(len(CHANNELS))} - {0}
+        if len(sizes) > 1:
+            what = f'channels of {sorted(sizes)} rays'
+            yield Finding('count', what, *place, f'shepherd_{h}/scan')

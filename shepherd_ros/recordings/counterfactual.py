@@ -1,0 +1,106 @@
+"""What would have become of a recorded episode under another controller from some state on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from shepherd_ros.controllers.base import Controller, Memory
+from shepherd_ros.recordings.episodes import Episode, Frame
+from shepherd_ros.recordings.record import drive, EpisodeBag, Moment
+from shepherd_ros.recordings.replay import description_of, metrics_over_time, states_of
+from shepherd_ros.recordings.replay_check import core_answers
+from shepherd_ros.sim.env import EnvConfig
+from shepherd_ros.sim.lidar import LidarConfig, scan
+from shepherd_ros.sim.metrics import count_step, METRICS, metrics, start_tally
+from shepherd_ros.sim.perception import perceive
+from shepherd_ros.sim.state import WorldState
+
+
+def record_future(
+    episode: Episode,
+    at: int,
+    controller: Controller,
+    noise_std: float,
+    folder: Path,
+    on_step: Callable[[int], None] = lambda worlds: None,
+) -> bool:
+    """
+    Write the episode as recorded until frame `at`, then as it goes on under a controller.
+
+    The goal moves as recorded. Returns whether the controller goes on with what it remembers of
+    the past, as memory_at() says. The folder must not exist; raises BagError.
+    """
+    described = description_of(episode)
+    config = EnvConfig(noise_std=noise_std, world=described.world, lidar=lidar_of(episode))
+    states = states_of(episode)
+    memory, same = memory_at(episode, states, at, controller, noise_std)
+    now = before = states.world(slice(0, 1))
+    tally = start_tally(now)
+    bag = EpisodeBag(folder, described, 'none')
+    with closing(bag.writer):
+        for t, frame in enumerate(episode.frames[:at]):
+            values = metrics(tally, now, episode.episode_steps)
+            commands = [None if c is None else c.tolist() for c in frame.commands]
+            row = {name: float(values[name][0]) for name in METRICS}
+            seen = ranges_of(frame, now, config)
+            bag.step(now.world(0), before.world(0), seen, commands, row, config.lidar.range_max)
+            before, now = now, states.world(slice(t + 1, t + 2))
+            tally = count_step(tally, before, now)
+            on_step(1)
+        goals = {frame.step: goal for frame, goal in zip(episode.frames, states.goal, strict=True)}
+        drive([bag], config, controller, Moment(now, before, tally, memory), goals, on_step)
+    return same
+
+
+def memory_at(
+    episode: Episode, states: WorldState, at: int, controller: Controller, noise_std: float
+) -> tuple[Memory, bool]:
+    """
+    Return the memory with which a controller comes to frame `at`, and whether it is of the past.
+
+    It is if each command until then is exactly what the controller would have said, having begun
+    at the first state; else the controller begins here.
+    """
+    past = core_answers(states.world(slice(0, at + 1)), controller, noise_std)
+    for frame, (memory, command) in zip(episode.frames, past, strict=False):
+        if frame is episode.frames[at]:
+            return memory, at > 0
+        recorded = [np.full(2, np.nan) if c is None else c for c in frame.commands]
+        if not np.array_equal(recorded, command.double().numpy()):
+            break
+    return controller.begin(perceive(states.world(slice(at, at + 1)), noise_std)), False
+
+
+def lidar_of(episode: Episode) -> LidarConfig:
+    """Return the lidar of the scans, the default one if there are none."""
+    rays = {s.shape[-1] for frame in episode.frames for s in frame.scans if s is not None}
+    return replace(LidarConfig(), n_rays=rays.pop()) if len(rays) == 1 else LidarConfig()
+
+
+def ranges_of(frame: Frame, state: WorldState, config: EnvConfig) -> list[np.ndarray]:
+    """Return the recorded scans of a state (1), those that are missing cast; (3, R) m each."""
+    recorded = [s for s in frame.scans if s is not None]
+    if len(recorded) == len(frame.scans):
+        return recorded
+    cast = scan(perceive(state, config.noise_std), config.lidar)[0].numpy()
+    return [c if s is None else s for s, c in zip(frame.scans, cast, strict=True)]
+
+
+def metrics_table(recorded: Episode, future: Episode, name: str) -> str:
+    """Return the metrics of both after the last step that both have, as a Markdown table."""
+    both = {frame.step for frame in recorded.frames} & {frame.step for frame in future.frames}
+    last = max(both)
+    columns = []
+    for episode in (recorded, future):
+        curves = metrics_over_time(states_of(episode), episode.episode_steps)
+        place = [frame.step for frame in episode.frames].index(last)
+        columns.append({metric: values[place] for metric, values in curves.items()})
+    lines = [f'| after {last} steps | recorded | {name} | unit |', '|:--|--:|--:|:--|']
+    for metric, (unit, _) in METRICS.items():
+        values = ' | '.join(f'{column[metric]:.4g}' for column in columns)
+        lines.append(f'| {metric} | {values} | {unit} |')
+    return '\n'.join(lines) + '\n'

@@ -1,0 +1,275 @@
+"""
+Sorts the messages of a bag into episodes and their states, by stamp and not by order of arrival.
+
+An episode is announced by the topic episode. Its states are those whose stamps lie on its grid;
+scans and commands carry the stamp of the state that they belong to. A world that is started again
+counts stamps from the front again, so log times decide between episodes with the same stamps.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+import json
+from typing import Any
+
+from shepherd_ros.rosbag2.errors import BagError
+from shepherd_ros.rosbag2.reader import Bag, BagMessage
+from shepherd_ros.wire.contract import CHANNELS, Known, known
+from shepherd_ros.wire.decode import CdrError, DECODERS, Floats, Poses, Ranges, Vector
+
+SHEEP, SHEPHERDS = 'flock/poses', 'shepherds/poses'
+SCANS = tuple(f'shepherd_{{h}}/scan/{channel}' for channel in CHANNELS)
+COMMANDS, GOAL, EPISODE = 'shepherd_{h}/cmd_vel', 'goal', 'episode'
+STATES = (SHEEP, SHEPHERDS)
+ALL = (*STATES, *SCANS, COMMANDS, GOAL)
+SETTLED = 2  # an episode ends for good when the next one has a state with this step
+LARGEST_SHEEP, LARGEST_SHEPHERDS, LARGEST_STEPS = 10_000, 100, 10_000_000
+
+
+@dataclass(frozen=True)
+class EpisodeInfo:
+    """What the topic episode says, as far as a bag needs it."""
+
+    number: int
+    seed: int
+    start_ns: int  # stamp of the first state
+    n_sheep: int
+    n_shepherds: int
+    dt: float  # s
+    episode_steps: int
+    config: dict[str, Any]  # all of it
+
+    @property
+    def dt_ns(self) -> int:
+        """Return the time between two states."""
+        return round(self.dt * 1e9)
+
+    def has(self, stamp_ns: int) -> bool:
+        """Return whether a stamp can belong to a state of this episode."""
+        return 0 <= (stamp_ns - self.start_ns) // self.dt_ns <= self.episode_steps
+
+    @classmethod
+    def from_json(cls, text: str) -> EpisodeInfo:
+        """Return what a text says; raises ValueError."""
+        try:
+            data = json.loads(text)
+            start, world = data['start'], data['world']
+            info = cls(
+                number=int(data['number']),
+                seed=int(data['seed']),
+                start_ns=int(start['sec']) * 10**9 + int(start['nanosec']),
+                n_sheep=int(data['n_sheep']),
+                n_shepherds=int(data['n_shepherds']),
+                dt=float(world['dt']),
+                episode_steps=int(world['episode_steps']),
+                config=data,
+            )
+        except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+            raise ValueError(f'{text[:60]!r} describes no episode ({error!r:.80})') from error
+        if not all(-(2**63) <= value < 2**63 for value in (info.number, info.seed)):
+            raise ValueError(f'number {info.number!r:.30} or seed {info.seed!r:.30} is too large')
+        whole = (
+            (info.n_sheep, LARGEST_SHEEP),
+            (info.n_shepherds, LARGEST_SHEPHERDS),
+            (info.episode_steps, LARGEST_STEPS),
+        )
+        if not all(1 <= value <= most for value, most in whole):
+            raise ValueError(f'sheep, shepherds and steps with their limits are {whole}')
+        if not (0.001 <= info.dt <= 10 and 0 <= info.start_ns < 2**62):
+            raise ValueError(f'dt is {info.dt} s and start {info.start_ns} ns')
+        return info
+
+
+@dataclass
+class State:
+    """What was recorded for one state; only what arrived first counts."""
+
+    sheep: Poses | None = None
+    shepherds: Poses | None = None
+    scans: dict[tuple[int, int], Ranges] = field(default_factory=dict)  # by shepherd, channel
+    commands: dict[int, Floats] = field(default_factory=dict)  # by shepherd
+    raw: dict[str, bytes] = field(default_factory=dict)  # poses and scans by topic, if kept
+
+
+@dataclass
+class Group:
+    """An episode as it was recorded."""
+
+    info: EpisodeInfo
+    states: dict[int, State] = field(default_factory=dict)  # by step
+    goals: list[tuple[int, Floats]] = field(default_factory=list)  # stamp [ns], position (2,) m
+    disorder: list[tuple[str, int]] = field(default_factory=list)  # topic, stamp that goes back
+    astray: list[tuple[str, int]] = field(default_factory=list)  # topic, stamp between two states
+    latest: dict[str, int] = field(default_factory=dict)  # last stamp by topic
+    last_step: int = -1  # with poses, -1 if there is none
+
+
+def decoded(bag: Bag, message: BagMessage, kinds: Collection[str]) -> Any:
+    """Return a message of one of the expected types; raises BagError."""
+    where = f'{message.topic} at log time {message.log_ns} ns'
+    if message.type not in kinds:
+        expected = ' or '.join(kinds)
+        raise BagError(
+            bag.path,
+            f'{where} has type {message.type[:80]!r}, expected {expected}',
+            'record with the topics of msg_schemas/topics.yaml',
+        )
+    try:
+        return DECODERS[message.type](message.data)
+    except CdrError as error:
+        raise BagError(bag.path, f'{where} is no {message.type}: {error}') from error
+
+
+def namespaces(bag: Bag) -> list[str]:
+    """Return the namespaces that tell of episodes: [''] for most bags, [] for those of others."""
+    found = (known(name) for name, topic in bag.topics.items() if topic.count)
+    return [ours.namespace for ours in found if ours and ours.topic.name == EPISODE]
+
+
+def announced(bag: Bag, namespace: str) -> list[tuple[int, EpisodeInfo]]:
+    """Return log time [ns] and content of all messages on the topic episode; raises BagError."""
+    infos = []
+    for message in bag.messages([f'{namespace}/{EPISODE}']):
+        text = decoded(bag, message, ['std_msgs/msg/String'])
+        try:
+            infos.append((message.log_ns, EpisodeInfo.from_json(text)))
+        except ValueError as error:
+            raise BagError(bag.path, f'{message.topic}: {error}') from error
+    return infos
+
+
+class Groups:
+    """
+    The episodes of a namespace in the order of the recording; iterating raises BagError.
+
+    parts are names of the contract that are read; keep: also the bytes of poses and scans; labels:
+    the namespace, inside the other one, of the commands that are read instead of those that were
+    driven. The episode being read is in memory, and the one before until it is settled.
+    """
+
+    def __init__(
+        self,
+        bag: Bag,
+        namespace: str = '',
+        parts: Collection[str] = ALL,
+        keep: bool = False,
+        labels: str = '',
+    ) -> None:
+        """Find out which topics are wanted; raises BagError without any command in labels."""
+        self.bag, self.namespace, self.keep = bag, namespace, keep
+        self.stray: Counter[str] = Counter()  # messages that are of no episode, by topic
+        said = f'{namespace}/{labels}' if labels else namespace
+        self.wanted = {
+            name: ours
+            for name in bag.topics
+            for ours in [known(name)]
+            if ours
+            and ours.topic.name in parts
+            and ours.namespace == (said if ours.topic.name == COMMANDS else namespace)
+        }
+        if labels and not any(ours.topic.name == COMMANDS for ours in self.wanted.values()):
+            raise BagError(
+                bag.path,
+                f'labels is {labels!r}, but it has no topic {said}/shepherd_<h>/cmd_vel',
+                'use labels of a recording that has them, such as those of train dagger --visited',
+            )
+
+    def __iter__(self) -> Iterator[Group]:
+        """Yield one episode after another."""
+        sorter = _Sorter(announced(self.bag, self.namespace))
+        for message in self.bag.messages(self.wanted):
+            yield from sorter.begin_until(message.log_ns)
+            ours = self.wanted[message.topic]
+            content = decoded(self.bag, message, ours.types)
+            if not sorter.add(ours, content, message.data if self.keep else None):
+                self.stray[message.topic] += 1
+        yield from sorter.begin_until(2**64)
+        yield from sorter.open
+
+
+class _Sorter:
+    """Keeps the episodes that are not settled."""
+
+    def __init__(self, infos: list[tuple[int, EpisodeInfo]]) -> None:
+        self.coming = list(reversed(infos))
+        self.open: list[Group] = []  # the present one last
+        self.early = 0  # of the open ones, how many at the end are not announced yet
+        self.now: int | None = None  # stamp of the latest state
+        self.again: int | None = None  # goals when the present episode was announced once more
+
+    def begin_until(self, log_ns: int) -> Iterator[Group]:
+        """Begin the episodes announced until a log time; yield those that are over."""
+        while self.coming and self.coming[-1][0] <= log_ns:
+            _, info = self.coming.pop()
+            if self.early:
+                self.early -= 1
+                continue
+            if self.open and self.open[-1].info == info:
+                # said to those who were silent, or of a world started anew
+                self.again = len(self.open[-1].goals)
+                continue
+            self.open.append(Group(info))
+            self.again = None
+        last = self.open[-1] if self.open else None
+        keep = 1 if last is not None and last.last_step >= SETTLED else 2
+        while len(self.open) > keep:
+            yield self.open.pop(0)
+
+    def add(self, ours: Known, content: Poses | Vector | Any, raw: bytes | None = None) -> bool:
+        """Take the content of a message, and its bytes to keep; return whether it is of one."""
+        name = ours.topic.name
+        stamp_ns = self.now if content.stamp_ns is None else content.stamp_ns
+        if name in STATES:
+            self.now = stamp_ns
+        group = None if stamp_ns is None else self._group(stamp_ns)
+        if group is None or stamp_ns is None:
+            return False
+        label = name.replace('{h}', str(ours.shepherd))
+        back = name in STATES and stamp_ns < group.latest.get(label, 0)
+        if back and self.again is not None and group is self.open[-1]:
+            self.open.append(Group(group.info, goals=group.goals[self.again :]))
+            del group.goals[self.again :]
+            group, self.again = self.open[-1], None
+        if name == GOAL:
+            group.goals.append((stamp_ns, content.xy))
+            return True
+        if stamp_ns < group.latest.get(label, stamp_ns):
+            group.disorder.append((label, stamp_ns))
+        group.latest[label] = stamp_ns
+        step, rest = divmod(stamp_ns - group.info.start_ns, group.info.dt_ns)
+        if rest:
+            group.astray.append((label, stamp_ns))
+            return True
+        if name in STATES:
+            group.last_step = max(group.last_step, step)
+        state = group.states.setdefault(step, State())
+        _put(state, name, ours.shepherd, content)
+        if raw is not None and name != COMMANDS:
+            state.raw.setdefault(label, raw)
+        return True
+
+    def _group(self, stamp_ns: int) -> Group | None:
+        """Return the episode of a stamp: the present one, one before, or the next one."""
+        for group in reversed(self.open):
+            if group.info.has(stamp_ns):
+                return group
+        if self.coming and not self.early and self.coming[-1][1].has(stamp_ns):
+            # on its way to the recorder the announcement was overtaken
+            self.open.append(Group(self.coming[-1][1]))
+            self.early += 1
+            return self.open[-1]
+        return None
+
+
+def _put(state: State, name: str, shepherd: int | None, content: Any) -> None:
+    """Keep what a message says of a state, unless it was said before."""
+    if name == SHEEP:
+        state.sheep = state.sheep or content
+    elif name == SHEPHERDS:
+        state.shepherds = state.shepherds or content
+    elif shepherd is not None and name == COMMANDS:
+        state.commands.setdefault(shepherd, content.xy)
+    elif shepherd is not None:
+        state.scans.setdefault((shepherd, SCANS.index(name)), content.ranges)

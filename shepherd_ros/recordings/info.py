@@ -1,0 +1,145 @@
+"""What is in a bag, as `ros2 bag info` says it, and its episodes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+
+from shepherd_ros.recordings.grouping import Groups, namespaces, STATES
+from shepherd_ros.rosbag2.metadata import STORAGE, TopicInfo
+from shepherd_ros.rosbag2.reader import Bag
+
+INDENT = 19  # as in ros2 bag info
+
+
+@dataclass(frozen=True)
+class EpisodeSummary:
+    """An episode of a bag."""
+
+    namespace: str
+    number: int
+    seed: int
+    n_sheep: int
+    n_shepherds: int
+    states: int  # with poses of both kinds
+    expected: int  # states of a whole episode
+
+    @property
+    def whole(self) -> bool:
+        """Return whether no state is missing."""
+        return self.states == self.expected
+
+
+@dataclass(frozen=True)
+class BagInfo:
+    """Everything about a bag but its messages; times in ns."""
+
+    files: list[str]
+    size: int  # [bytes] of all files
+    storage: str
+    distro: str
+    compression: str  # none, lz4, zstd, or several
+    start_ns: int
+    end_ns: int
+    messages: int
+    topics: list[TopicInfo]
+    custom_data: dict[str, str]
+    episodes: list[EpisodeSummary]
+
+    @property
+    def duration_ns(self) -> int:
+        """Return the time between the first message and the last."""
+        return self.end_ns - self.start_ns
+
+    def text(self) -> str:
+        """Return what `ros2 bag info` prints, with compression and episodes."""
+        rows = [
+            ('Files:', self.files),
+            ('Bag size:', [_size(self.size)]),
+            ('Storage id:', [self.storage]),
+            ('ROS Distro:', [self.distro or 'unknown']),
+            ('Compression:', [self.compression]),
+            ('Duration:', [f'{_seconds(self.duration_ns)}s']),
+            ('Start:', [_time(self.start_ns)]),
+            ('End:', [_time(self.end_ns)]),
+            ('Messages:', [str(self.messages)]),
+            ('Topic information:', [_topic(topic) for topic in self.topics]),
+            ('Episodes:', [_episode(episode) for episode in self.episodes]),
+        ]
+        lines = []
+        for name, values in rows:
+            for i, value in enumerate(values or ['']):
+                lines.append(f'{"" if i else name:<{INDENT}}{value}'.rstrip())
+        return '\n'.join(lines)
+
+
+def bag_info(bag: Bag) -> BagInfo:
+    """Return what is in a bag; raises BagError where its poses cannot be read."""
+    packed = {name or 'none' for storage in bag.storages for name in storage.compressions}
+    episodes = []
+    for namespace in namespaces(bag):
+        for group in Groups(bag, namespace, STATES):
+            info = group.info
+            states = sum(1 for s in group.states.values() if s.sheep and s.shepherds)
+            episodes.append(
+                EpisodeSummary(
+                    namespace=namespace,
+                    number=info.number,
+                    seed=info.seed,
+                    n_sheep=info.n_sheep,
+                    n_shepherds=info.n_shepherds,
+                    states=states,
+                    expected=info.episode_steps + 1,
+                )
+            )
+    return BagInfo(
+        files=[storage.path.name for storage in bag.storages],
+        size=sum(storage.size for storage in bag.storages),
+        storage=STORAGE,
+        distro=bag.metadata.distro if bag.metadata else '',
+        compression=', '.join(sorted(packed)) or 'none',
+        start_ns=bag.start_ns,
+        end_ns=bag.end_ns,
+        messages=bag.count,
+        topics=list(bag.topics.values()),
+        custom_data=bag.custom_data,
+        episodes=episodes,
+    )
+
+
+def _size(size: float) -> str:
+    for unit in ('B', 'KiB', 'MiB', 'GiB'):
+        if size < 1024:
+            return f'{size:.0f} B' if unit == 'B' else f'{size:.1f} {unit}'
+        size /= 1024
+    return f'{size:.1f} TiB'
+
+
+def _seconds(ns: int) -> str:
+    return f'{ns // 10**9}.{ns % 10**9:09d}'
+
+
+def _time(ns: int) -> str:
+    """Return a time of the wall clock, and in seconds since the epoch."""
+    try:
+        day = datetime.fromtimestamp(ns // 10**9)
+    except (OverflowError, OSError, ValueError):  # farther away than the calendar goes
+        return f'({_seconds(ns)})'
+    clock = f'{day:%H:%M:%S}.{ns % 10**9:09d}'
+    return f'{day:%b} {day.day:>2} {day.year} {clock} ({_seconds(ns)})'
+
+
+def _topic(topic: TopicInfo) -> str:
+    return (
+        f'Topic: {topic.name} | Type: {topic.type} | Count: {topic.count} | '
+        f'Serialization Format: {topic.serialization}'
+    )
+
+
+def _episode(episode: EpisodeSummary) -> str:
+    place = f'{episode.namespace} ' if episode.namespace else ''
+    return (
+        f'{place}Episode: {episode.number} | Seed: {episode.seed} | Sheep: {episode.n_sheep} | '
+        f'Shepherds: {episode.n_shepherds} | States: {episode.states} of {episode.expected} | '
+        f'{"whole" if episode.whole else "not whole"}'
+    )

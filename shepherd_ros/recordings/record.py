@@ -1,0 +1,208 @@
+"""Episodes of the environment as bags, the same as those recorded from a running stack."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+import shutil
+
+import numpy as np
+from shepherd_ros.controllers.base import Controller, Memory
+from shepherd_ros.rosbag2.qos import Qos
+from shepherd_ros.rosbag2.writer import BagWriter
+from shepherd_ros.sim import transition
+from shepherd_ros.sim.env import EnvConfig
+from shepherd_ros.sim.lidar import CHANNELS, scan
+from shepherd_ros.sim.metrics import count_step, METRICS, metrics, MetricsTally, start_tally
+from shepherd_ros.sim.perception import perceive
+from shepherd_ros.sim.spawn import spawn
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.vectors import unit
+from shepherd_ros.sim.world import WorldConfig
+from shepherd_ros.wire.encode import (
+    encode_clock,
+    encode_command,
+    encode_goal,
+    encode_number,
+    encode_poses,
+    encode_scan,
+    encode_text,
+)
+from shepherd_ros.wire.episode import Episode
+from shepherd_ros.wire.topics import contract
+import torch
+from torch import Tensor
+
+FRAME = 'map'
+
+
+class EpisodeBag:
+    """The bag of one episode: the topics of flock_sim, lidars, controller and metrics."""
+
+    def __init__(self, folder: Path, episode: Episode, compression: str) -> None:
+        """Open a bag in a folder that does not exist."""
+        self.episode = episode
+        self.writer = BagWriter(folder, compression=compression)
+        self.now_ns = 0
+        self.goal: list[float] = []
+
+    def put(
+        self, topic: str, content: bytes, shepherd: int | None = None, namespace: str = ''
+    ) -> None:
+        """Write a message of a topic of the contract at the present time."""
+        topics, profiles = contract()
+        row = topics[topic]
+        name = f'{namespace}/' + topic.format(h=shepherd).lstrip('/')
+        self.writer.add_topic(name, row.type, [Qos.of_profile(profiles[row.profile])])
+        self.writer.write(name, content, self.now_ns, self.now_ns)
+
+    def step(
+        self,
+        state: WorldState,
+        before: WorldState,
+        ranges: Sequence[np.ndarray | None],
+        commands: Sequence[Sequence[float] | None],
+        metrics: Mapping[str, float],
+        range_max: float,
+        labels: tuple[str, Sequence[Sequence[float]]] = ('', ()),
+    ) -> None:
+        """
+        Write a state, what was seen of it, what was commanded and how it counts.
+
+        The state before gives the shepherds' headings; ranges (3, R) m and commands (2,) m/s are
+        those of each shepherd, and so are labels, in a namespace: what another one would command.
+        """
+        episode = self.episode
+        frame, team = episode.frame_id, episode.n_shepherds
+        ns = episode.start_ns + int(state.step) * episode.dt_ns
+        first, self.now_ns = self.now_ns == 0, ns
+        if first:
+            self.put('episode', encode_text(episode.to_json()))
+        if self.goal != state.goal.tolist():
+            self.goal = state.goal.tolist()
+            self.put('goal', encode_goal(ns, frame, *self.goal))
+        self.put('/clock', encode_clock(ns))
+        moved = unit(state.shepherds - before.shepherds)
+        for name, position, heading in (
+            ('shepherds/poses', state.shepherds[:team], moved[:team]),
+            ('flock/poses', state.sheep, state.heading),
+        ):
+            self.put(name, encode_poses(ns, frame, position.numpy(), heading.numpy()))
+        for h, channels in enumerate(ranges[:team]):
+            for name, values in zip(CHANNELS, () if channels is None else channels, strict=False):
+                content = encode_scan(ns, f'shepherd_{h}', values, range_max, episode.world.dt)
+                self.put('shepherd_{h}/scan/' + name, content, h)
+        for h, command in enumerate(commands[:team]):
+            if command is not None:
+                self.put('shepherd_{h}/cmd_vel', encode_command(ns, frame, *command), h)
+        for h, command in enumerate(labels[1][:team]):
+            content = encode_command(ns, frame, *command)
+            self.put('shepherd_{h}/cmd_vel', content, h, f'/{labels[0]}')
+        for name, value in metrics.items():
+            self.put(f'metrics/{name}', encode_number(value))
+
+
+def episode_folder(out: Path, seed: int) -> Path:
+    """Return the folder of the bag of an episode."""
+    return out / f'episode_{seed:06d}'
+
+
+def record_episodes(
+    config: EnvConfig,
+    controller: Controller,
+    seeds: range,
+    out: Path,
+    compression: str = 'none',
+    on_step: Callable[[int], None] = lambda worlds: None,
+) -> None:
+    """
+    Write the episodes with consecutive seeds, one bag each, all at the same time.
+
+    A bag appears under its name when it is whole; on_step(worlds) is called after each step.
+    """
+    world = config.world
+    start = spawn(world, torch.arange(seeds.start, seeds.stop))
+    bags = open_bags(out, world, start, compression)
+    memory = controller.begin(perceive(start, config.noise_std))
+    drive(bags, config, controller, Moment(start, start, start_tally(start), memory), {}, on_step)
+    close_bags(out, bags)
+
+
+def open_bags(
+    out: Path, world: WorldConfig, start: WorldState, compression: str
+) -> list[EpisodeBag]:
+    """Return an unfinished bag for each world (B) that starts."""
+    bags = []
+    for k, seed in enumerate(start.seed.tolist()):
+        folder = out / f'.{episode_folder(out, seed).name}'
+        shutil.rmtree(folder, ignore_errors=True)  # left by a run that was killed
+        bags.append(EpisodeBag(folder, describe(world, start.world(k), seed), compression))
+    return bags
+
+
+def close_bags(out: Path, bags: Sequence[EpisodeBag]) -> None:
+    """Finish bags and give them the names of their seeds."""
+    for bag in bags:
+        bag.writer.close()
+        bag.writer.folder.rename(episode_folder(out, bag.episode.seed))
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Everything from which worlds (B) go on in one way only."""
+
+    state: WorldState
+    before: WorldState  # one step earlier; the first one is its own
+    tally: MetricsTally
+    memory: Memory
+
+
+def drive(
+    bags: Sequence[EpisodeBag],
+    config: EnvConfig,
+    controller: Controller,
+    moment: Moment,
+    goals: Mapping[int, Tensor],
+    on_step: Callable[[int], None] = lambda worlds: None,
+) -> None:
+    """
+    Let a controller drive on to the end of the episode, and write each world (B) into its bag.
+
+    goals (2,) m are where the goal has been moved at some steps; on_step(worlds) is called after
+    each step.
+    """
+    state, before, tally, memory = moment.state, moment.before, moment.tally, moment.memory
+    last = config.world.episode_steps
+    for step in range(int(state.step[0]), last + 1):
+        seen = perceive(state, config.noise_std)
+        ranges = scan(seen, config.lidar).numpy()
+        command, memory = controller.act(seen, memory)
+        values = metrics(tally, state, last)
+        for k, bag in enumerate(bags):
+            row = {name: float(values[name][k]) for name in METRICS}
+            bag.step(
+                state.world(k), before.world(k), ranges[k], command[k].tolist(), row,
+                config.lidar.range_max,
+            )  # fmt: skip
+        if step < last:
+            before, state = state, transition.step(state, command, config.world)
+            if step + 1 in goals:
+                state = replace(state, goal=goals[step + 1].expand_as(state.goal))
+            tally = count_step(tally, before, state)
+        on_step(len(bags))
+
+
+def describe(world: WorldConfig, start: WorldState, seed: int) -> Episode:
+    """Return the description that flock_sim gives of an episode that it begins with."""
+    return Episode(
+        number=0,
+        seed=seed,
+        start_ns=round(world.dt * 1e9),
+        n_sheep=world.n_sheep,
+        n_shepherds=int(start.team_size),
+        goal_radius=float(start.goal_radius),
+        frame_id=FRAME,
+        mode='lockstep',
+        world=world,
+    )

@@ -1,0 +1,121 @@
+"""A recorded episode as states of the world and as something to look at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import json
+
+import numpy as np
+from shepherd_ros.config import ConfigError
+from shepherd_ros.recordings.episodes import Episode, Frame
+from shepherd_ros.sim.metrics import count_step, METRICS, metrics, start_tally
+from shepherd_ros.sim.state import stack, WorldState
+from shepherd_ros.view.track import EpisodeTrack
+from shepherd_ros.wire.episode import Episode as Description
+import torch
+
+
+def description_of(episode: Episode) -> Description:
+    """Return what flock_sim said of the episode, or raise ConfigError."""
+    return Description.from_json(json.dumps(episode.config))
+
+
+def states_of(episode: Episode, frames: Sequence[Frame] | None = None) -> WorldState:
+    """
+    Return the recorded states, or some of them, as a batch (T), bit by bit as they were.
+
+    A goal that was not recorded is at 0, 0. Raises ConfigError if the radius of the goal is not
+    known.
+    """
+    states = []
+    radius = episode.config.get('goal_radius')
+    if not isinstance(radius, int | float):
+        raise ConfigError(f'goal_radius of an episode is {radius!r}: expected metres')
+    for frame in episode.frames if frames is None else frames:
+        goal = np.zeros(2) if frame.goal is None else frame.goal
+        states.append(
+            WorldState(
+                seed=torch.tensor(episode.seed),
+                step=torch.tensor(frame.step),
+                sheep=_tensor(frame.sheep),
+                heading=torch.from_numpy(exact_heading(frame.sheep_heading)),
+                sheep_mask=torch.ones(episode.n_sheep, dtype=torch.bool),
+                shepherds=_tensor(frame.shepherds),
+                shepherd_mask=torch.ones(episode.n_shepherds, dtype=torch.bool),
+                goal=_tensor(goal),
+                goal_radius=torch.tensor(float(radius)),
+            )
+        )
+    return stack(states)
+
+
+def _tensor(values: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.asarray(values, np.float32))
+
+
+NEIGHBORS = np.arange(
+    -4, 5, dtype=np.int32
+)  # units in the last place that a unit vector may be too long
+ROUNDING = 1e-15  # of a direction on its way through a quaternion
+
+
+def exact_heading(direction: np.ndarray) -> np.ndarray:
+    """
+    Return the headings in float32 that have these directions (K, 2) in float64; (K, 2).
+
+    A pose keeps the direction of a heading and not its length, which float32 rounds to nearly 1.
+    Of the float32 vectors about as long hardly two have the same direction (one heading in three
+    million is not told from its neighbor), so it says which one it was.
+    """
+    swap = np.abs(direction[:, 1]) > np.abs(direction[:, 0])
+    long, short = np.where(swap[:, None], direction[:, ::-1], direction).T
+    short = np.where(np.abs(short) < ROUNDING, 0.0, short)
+    bits = long.astype(np.float32).view(np.int32)[:, None] + NEIGHBORS
+    candidates = bits.view(np.float32).astype(np.float64)
+    exact = candidates * (short / long)[:, None]
+    others = exact.astype(np.float32).astype(np.float64)
+    off = np.maximum(np.abs(others - exact), ROUNDING) / ROUNDING
+    best = (off + np.abs(np.hypot(candidates, others) - 1)).argmin(axis=1)
+    row = np.arange(len(direction))
+    found = np.stack([candidates[row, best], others[row, best]], axis=-1)
+    return np.where(swap[:, None], found[:, ::-1], found).astype(np.float32)
+
+
+def metrics_over_time(states: WorldState, episode_steps: int) -> dict[str, np.ndarray]:
+    """Return METRICS after each of the states (T), (T,) each."""
+    before = states.world(0)
+    tally = start_tally(before)
+    rows = [metrics(tally, before, episode_steps)]
+    for t in range(1, len(states.step)):
+        after = states.world(t)
+        tally = count_step(tally, before, after)
+        rows.append(metrics(tally, after, episode_steps))
+        before = after
+    return {name: np.array([float(row[name]) for row in rows]) for name in METRICS}
+
+
+def ranges_of(episode: Episode) -> np.ndarray | None:
+    """Return the scans (T, H, 3, R) m, inf where one is missing; None if there are none at all."""
+    shapes = {scan.shape for frame in episode.frames for scan in frame.scans if scan is not None}
+    if len(shapes) != 1:
+        return None
+    nothing = np.full(shapes.pop(), np.inf, np.float32)
+    return np.array(
+        [[nothing if s is None else s for s in frame.scans] for frame in episode.frames]
+    )
+
+
+def track_of(episode: Episode, title: str, parting: int | None = None) -> EpisodeTrack:
+    """Return the episode for pictures and animations, with the lidar of shepherd 0 if recorded."""
+    states, ranges = states_of(episode), ranges_of(episode)
+    return EpisodeTrack(
+        times=np.array([frame.stamp_ns for frame in episode.frames]) * 1e-9,
+        sheep=states.sheep.numpy(),
+        shepherds=states.shepherds.numpy(),
+        goal=states.goal.numpy(),
+        goal_radius=float(states.goal_radius[0]),
+        title=title,
+        ranges=None if ranges is None else ranges[:, 0],
+        lidar_shepherd=0,
+        parting=parting,
+    )

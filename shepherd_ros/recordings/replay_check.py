@@ -1,0 +1,129 @@
+"""What a controller answers to recorded states, beside what was recorded, message by message."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from shepherd_ros.controllers.base import Controller, Memory
+from shepherd_ros.recordings.episodes import Episode, Frame
+from shepherd_ros.sim.perception import perceive
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.wire.decode import Floats
+from torch import Tensor
+
+Answers = Mapping[int, Floats]  # by shepherd (2,) m/s
+
+
+def asked_frames(episode: Episode) -> list[Frame]:
+    """Return the states to ask about; in real time only those that were answered then."""
+    if episode.config.get('mode') != 'realtime':
+        return episode.frames
+    return [f for f in episode.frames if any(c is not None for c in f.commands)]
+
+
+def core_answers(
+    states: WorldState, controller: Controller, noise_std: float
+) -> Iterator[tuple[Memory, Tensor]]:
+    """
+    Yield the law's answers (H, 2) m/s to states (T) in a row, and the memory before each.
+
+    The memory is that of a batch of one world; the controller begins at the first state.
+    """
+    memory: Memory | None = None
+    for t in range(len(states.step)):
+        seen = perceive(states.world(slice(t, t + 1)), noise_std)
+        before = controller.begin(seen) if memory is None else memory
+        command, memory = controller.act(seen, before)
+        yield before, command[0]
+
+
+@dataclass
+class Comparison:
+    """Counts answers and recorded commands [m/s] that differ; a difference is a Euclidean norm."""
+
+    tolerance: float = 0.0  # [m/s]
+    shepherds: tuple[int, ...] = ()  # those that count, all if empty
+    episodes: int = 0
+    compared: int = 0
+    equal: int = 0
+    beyond: int = 0  # differ by more than the tolerance
+    largest: float = 0.0  # [m/s]
+    total: float = 0.0  # [m/s]
+    first: str = ''  # difference beyond the tolerance
+    missing: int = 0
+    first_missing: str = ''
+    unasked: int = 0  # states that are not in the recording, or that nobody answered then
+
+    @property
+    def ok(self) -> bool:
+        """Return whether there is something to compare and all of it is within the tolerance."""
+        return self.compared > 0 and not self.beyond and not self.missing
+
+    def add_episode(self, episode: Episode, frames: Sequence[Frame]) -> None:
+        """Count an episode, of which these states are asked about."""
+        self.episodes += 1
+        last = frames[-1].step if frames else episode.episode_steps
+        self.unasked += last + 1 - len(frames)
+
+    def add(self, episode: Episode, frame: Frame, answers: Answers) -> None:
+        """Compare what was recorded for a state with what is answered now."""
+        final = frame is episode.frames[-1]  # a recording may end before the last answers
+        for h, recorded in enumerate(frame.commands):
+            answer = answers.get(h)
+            if self.shepherds and h not in self.shepherds:
+                continue
+            if recorded is None and (final or answer is None):
+                continue
+            where = (
+                f'episode {episode.number}, step {frame.step}, '
+                f'stamp {frame.stamp_ns * 1e-9:.9f} s, shepherd_{h}'
+            )
+            if recorded is None or answer is None:
+                self.missing += 1
+                who = 'in the recording' if recorded is None else 'from the controller'
+                self.first_missing = self.first_missing or f'{where}: no command {who}'
+                continue
+            difference = _difference(recorded, answer)
+            self.compared += 1
+            self.equal += difference == 0
+            self.largest = max(self.largest, difference)
+            self.total += difference
+            if difference > self.tolerance:
+                self.beyond += 1
+                self.first = self.first or f'{where}: {_pair(recorded)}, now {_pair(answer)} m/s'
+
+    def text(self) -> str:
+        """Return the comparison in lines for a terminal."""
+        mean = self.total / max(self.compared, 1)
+        lines = [
+            f'{self.compared} commands of {self.episodes} episodes compared: {self.equal} equal, '
+            f'{self.beyond} differ by more than {self.tolerance:g} m/s',
+            f'difference: {self.largest:.6g} m/s at most, {mean:.6g} m/s on average',
+        ]
+        if self.first:
+            lines.append(f'first difference: {self.first}')
+        if self.missing:
+            lines.append(f'missing: {self.missing} commands; {self.first_missing}')
+        if self.unasked:
+            lines.append(
+                f'not asked: {self.unasked} states that were not recorded or not answered; what '
+                'the controller remembers may differ'
+            )
+        if not self.compared:
+            lines.append('nothing to compare: expected a recording with commands')
+        return '\n'.join([*lines, 'equal' if self.ok else 'different'])
+
+
+def _difference(recorded: Floats, answer: Floats) -> float:
+    """Return |recorded - answer| [m/s]; NaN equals NaN, else it is infinitely far."""
+    if np.array_equal(recorded, answer, equal_nan=True):
+        return 0.0
+    difference = float(np.linalg.norm(recorded - answer))
+    return difference if np.isfinite(difference) else float('inf')
+
+
+def _pair(velocity: Floats) -> str:
+    """Return a velocity with all its digits."""
+    return f'({velocity[0]:.9g}, {velocity[1]:.9g})'

@@ -1,0 +1,1 @@
+"""Plumbing between nodes and rclpy."""

@@ -1,0 +1,62 @@
+"""The world as markers, for RViz and Foxglove."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from geometry_msgs.msg import Point
+from shepherd_ros.ros.node import stamp
+from shepherd_ros.sim.lidar import CHANNELS
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.vectors import from_bearing
+from std_msgs.msg import ColorRGBA
+import torch
+from torch import Tensor
+from visualization_msgs.msg import Marker, MarkerArray
+
+# Okabe and Ito's palette, which colour-blind people can tell apart
+COLORS = {'sheep': (0.35, 0.35, 0.35), 'shepherds': (0.0, 0.45, 0.7), 'goal': (0.9, 0.6, 0.0)}
+
+
+def _marker(ns: int, frame_id: str, name: str, kind: int, size: float, color: str) -> Marker:
+    red, green, blue = COLORS[color]
+    marker = Marker(ns=name, id=0, type=kind, action=Marker.ADD)
+    marker.header.stamp, marker.header.frame_id = stamp(ns), frame_id
+    marker.pose.orientation.w = 1.0
+    marker.scale.x = marker.scale.y = marker.scale.z = size
+    marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
+    return marker
+
+
+def _points(positions: Tensor) -> list[Any]:
+    return [Point(x=x, y=y) for x, y in positions.tolist()]
+
+
+def world_markers(ns: int, frame_id: str, state: WorldState) -> MarkerArray:
+    """Return the goal as a flat disc, and sheep and shepherds as spheres."""
+    goal = _marker(ns, frame_id, 'goal', Marker.CYLINDER, 2 * float(state.goal_radius), 'goal')
+    goal.pose.position.x, goal.pose.position.y = state.goal.tolist()
+    goal.scale.z, goal.color.a = 0.02, 0.4
+    sheep = _marker(ns, frame_id, 'sheep', Marker.SPHERE_LIST, 0.5, 'sheep')
+    sheep.points = _points(state.sheep)
+    shepherds = _marker(ns, frame_id, 'shepherds', Marker.SPHERE_LIST, 1.0, 'shepherds')
+    shepherds.points = _points(state.shepherds)
+    return MarkerArray(markers=[goal, sheep, shepherds])
+
+
+def ray_markers(
+    ns: int, frame_id: str, shepherd: int, origin: Tensor, ranges: Tensor
+) -> MarkerArray:
+    """Return the rays of a lidar that hit something; origin (2,) m, ranges (3, R) m."""
+    count = ranges.shape[-1]
+    rays = from_bearing(torch.arange(count) * (2 * torch.pi / count))
+    markers = []
+    for channel, row in zip(CHANNELS, ranges, strict=True):
+        name = f'shepherd_{shepherd}/lidar/{channel}'
+        marker = _marker(ns, frame_id, name, Marker.LINE_LIST, 0.03, channel)
+        marker.color.a = 0.5
+        hit = row.isfinite()
+        ends = origin + rays[hit] * row[hit, None]
+        marker.points = _points(torch.stack([origin.expand_as(ends), ends], dim=1).reshape(-1, 2))
+        markers.append(marker)
+    return MarkerArray(markers=markers)

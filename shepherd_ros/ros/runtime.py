@@ -1,0 +1,170 @@
+"""Start nodes, spin them, and end with a clear word and the right exit code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+import os
+import re
+import signal
+import sys
+from threading import Timer
+from typing import Any
+
+import rclpy
+from rclpy.exceptions import ParameterException
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.logging import LoggingSeverity, set_logger_level
+from rclpy.parameter import parameter_value_to_python
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+from shepherd_ros.config import ConfigError
+from shepherd_ros.ros.node import ShepherdNode
+from shepherd_ros.ros.parameters import warn_of_unknown
+
+USER_MISTAKE = 2
+LOOK = 0.1  # [s] after which a signal is seen at the latest
+STOPS = (signal.SIGINT, signal.SIGTERM)
+LET_GO = 10.0  # [s] that DDS has to let go when all work is done
+
+
+def make_executor(kind: str, context: Any = None) -> Executor:
+    """Return an executor: events (experimental in Jazzy), or single (slower)."""
+    if kind == 'events':
+        from rclpy.experimental.events_executor import EventsExecutor
+
+        return EventsExecutor(context=context)
+    return SingleThreadedExecutor(context=context)
+
+
+def spin(nodes: Sequence[ShepherdNode], until: Callable[[], bool] = lambda: False) -> None:
+    """Run nodes in one executor until the context ends or until() is true."""
+    context = nodes[0].context
+    executor = make_executor(nodes[0].executor_kind, context)
+    for node in nodes:
+        executor.add_node(node)
+    buses = {id(node.bus): node.bus for node in nodes if node.bus is not None}.values()
+    for bus in buses:
+        bus.spun(executor.create_task)
+    try:
+        # a time-out, as the events executor of Jazzy hangs without one
+        while context.ok() and not until():
+            executor.spin_once(timeout_sec=LOOK)
+            for bus in buses:
+                bus.check()
+    finally:
+        for bus in buses:
+            bus.spun(None)
+        for node in nodes:
+            executor.remove_node(node)
+        executor.shutdown(timeout_sec=1.0)
+
+
+def help_text(node: ShepherdNode, doc: str) -> str:
+    """Return what a node does and its parameters with their defaults."""
+    lines = [doc.strip(), '', 'Parameters (--ros-args -p name:=value, or --params-file FILE):']
+    for name in sorted(node._parameters):
+        described = node.describe_parameter(name)
+        value = parameter_value_to_python(node.get_parameter(name).get_parameter_value())
+        if described.description and not name.startswith(('qos_overrides', 'start_type_desc')):
+            lines.append(f'  {name} ({value}): {described.description}')
+    return '\n'.join(lines)
+
+
+def show_help(node: ShepherdNode, doc: str) -> None:
+    """Print the help; a reader that has had enough, such as head, is no error."""
+    try:
+        print(help_text(node, doc), flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def hide() -> None:
+    """Let the nodes of this process be found by nobody and say nothing, as help needs them."""
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'OFF'
+    set_logger_level('', LoggingSeverity.FATAL)
+
+
+def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None) -> int:
+    """
+    Run a node as a process; return its exit code, that of node.end() after SIGINT or SIGTERM.
+
+    options is a dataclass that the words of the command line fill; the node is made with it. Where
+    several nodes are made, they run together, and the first says when and how they end.
+    """
+    # rclpy's own handlers would end the context in the midst of a callback that publishes
+    came: list[int] = []
+    for number in STOPS:
+        signal.signal(number, lambda number, frame: came.append(number))
+    nodes: list[ShepherdNode] = []
+    code = USER_MISTAKE
+    try:
+        words = remove_ros_args(sys.argv)[1:]
+        if options is not None:
+            make_node, words = partial(make_node, from_words(options, name, words)), []
+        strange = [word for word in words if word not in ('-h', '--help')]
+        if strange:
+            raise ConfigError(
+                f'unknown argument {strange[0]!r}: expected --help, or --ros-args followed by '
+                '-p name:=value, -r from:=to or --params-file FILE'
+            )
+        if words:
+            hide()
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        made = make_node()
+        nodes = made if isinstance(made, list) else [made]
+        if words:
+            show_help(nodes[0], doc)
+        else:
+            for node in nodes:
+                warn_of_unknown(node)
+            spin(nodes, until=lambda: nodes[0].finished or bool(came))
+        code = 0 if words else nodes[0].end()
+    except (ConfigError, ParameterException) as error:
+        print(f'{name}: {error}', file=sys.stderr)
+    except Exception as error:
+        mistake = rcl_mistake(error)
+        if mistake is None:
+            raise
+        print(f'{name}: {mistake}', file=sys.stderr)
+    finally:
+        leave(nodes, name, code)
+        for number in STOPS:  # the end of Python gives handlers up; a second signal would kill
+            signal.signal(number, signal.SIG_IGN)
+    return code
+
+
+def leave(nodes: Sequence[ShepherdNode], name: str, code: int) -> None:
+    """End nodes and context; where DDS does not let go, end the process with its exit code."""
+
+    def give_up() -> None:
+        os.write(2, f'{name}: DDS did not let go within {LET_GO:g} s: left it\n'.encode())
+        os._exit(code)
+
+    timer = Timer(LET_GO, give_up)
+    timer.daemon = True
+    timer.start()
+    for node in nodes:
+        node.destroy_node()
+    rclpy.try_shutdown()
+    timer.cancel()
+
+
+def from_words(options: Any, name: str, words: list[str]) -> Any:
+    """Return the options that the words of a command line ask for."""
+    import tyro  # only nodes with options need it
+
+    return tyro.cli(options, prog=name, args=words)
+
+
+def rcl_mistake(error: Exception) -> str | None:
+    """Return the words for a command line or parameter file that rcl refuses, else None."""
+    text = re.sub(r', at \S+:\d+', '', ' '.join(str(error).split()))
+    if isinstance(error, _rclpy.UnknownROSArgsError):
+        text = f'unknown words after --ros-args: {text}'
+    elif not isinstance(error, _rclpy.RCLInvalidROSArgsError):
+        about = 'arg' in text or 'param' in text or 'yaml' in text.lower()
+        if not (isinstance(error, _rclpy.RCLError) and about):
+            return None
+    return f'{text}: check the words after --ros-args and the file of --params-file'

@@ -1,0 +1,112 @@
+"""Hear the lidars: put together the three scans of each shepherd, stamp by stamp."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from rclpy.subscription import Subscription
+from shepherd_ros.ros.node import ShepherdNode
+from shepherd_ros.sim.lidar import CHANNELS, LidarConfig
+from shepherd_ros.wire.decode import CdrError, decode_scan, Scan
+
+THROTTLE = 5.0  # [s] between two warnings
+
+
+class ScanListener:
+    """
+    Calls on_scans(stamp_ns, ranges) with what the shepherds of a node see at one stamp.
+
+    ranges maps a shepherd to an array (3, R) m, +inf for no return. It is called once all are
+    complete, or when a later stamp comes in: then shepherds with a scan missing or not fit to use
+    are left out. faults counts those, by what was wrong.
+    """
+
+    def __init__(
+        self,
+        node: ShepherdNode,
+        lidar: LidarConfig,
+        on_scans: Callable[[int, dict[int, np.ndarray]], None],
+    ) -> None:
+        """Make a listener that hears nobody; listen_to() subscribes."""
+        self.node, self.lidar, self.on_scans = node, lidar, on_scans
+        self.faults: dict[str, int] = {}
+        self._inputs: dict[int, list[Subscription]] = {}
+        self._ns = -1
+        self._parts: dict[int, dict[str, np.ndarray]] = {}
+
+    def listen_to(self, shepherds: list[int]) -> None:
+        """Hear these shepherds and no others, from now on."""
+        for h in self._inputs.keys() - set(shepherds):
+            for subscription in self._inputs.pop(h):
+                self.node.destroy_subscription(subscription)
+        for h in [h for h in shepherds if h not in self._inputs]:
+            self._inputs[h] = [
+                self.node.listen(
+                    'shepherd_{h}/scan/' + channel, self._receiver(h, channel), h, raw=True
+                )
+                for channel in CHANNELS
+            ]
+        self.forget()
+
+    def forget(self) -> None:
+        """Start anew with whatever stamp comes next."""
+        self._ns, self._parts = -1, {}
+
+    def _receiver(self, shepherd: int, channel: str) -> Callable[[bytes], None]:
+        def receive(raw: bytes) -> None:
+            try:
+                scan = decode_scan(raw)
+            except CdrError as error:
+                self._fault('unreadable', shepherd, channel, str(error))
+                return
+            if scan.stamp_ns != self._ns:
+                self._next(scan.stamp_ns)
+            if self._fits(scan, shepherd, channel):
+                self._parts.setdefault(shepherd, {})[channel] = scan.ranges
+                if all(len(self._parts.get(h, ())) == len(CHANNELS) for h in self._inputs):
+                    self._deliver()
+
+        return receive
+
+    def _next(self, ns: int) -> None:
+        """Turn to another stamp; what is there of the one before is delivered if it is older."""
+        if self._parts and ns > self._ns:
+            missing = [h for h in self._inputs if len(self._parts.get(h, ())) < len(CHANNELS)]
+            for h in missing:
+                self._fault('missing', h, 'some channel', f'not all scans of {self._ns * 1e-9} s')
+            self._deliver()
+        self._ns, self._parts = ns, {}
+
+    def _deliver(self) -> None:
+        whole = {
+            h: np.stack([parts[channel] for channel in CHANNELS])
+            for h, parts in self._parts.items()
+            if len(parts) == len(CHANNELS)
+        }
+        self._parts = {}
+        self.on_scans(self._ns, whole)
+
+    def _fits(self, scan: Scan, shepherd: int, channel: str) -> bool:
+        """Return whether a scan is one that the lidar in mind could have made."""
+        want = self.lidar
+        if len(scan.ranges) != want.n_rays:
+            wrong = f'{len(scan.ranges)} rays, expected {want.n_rays}'
+        elif abs(scan.range_max - want.range_max) > 1e-3:
+            wrong = f'range_max {scan.range_max} m, expected {want.range_max} m'
+        elif abs(scan.angle_min) > 1e-6:
+            wrong = f'angle_min {scan.angle_min} rad, expected 0'
+        elif np.isnan(scan.ranges).any():
+            wrong = 'ranges that are NaN'
+        else:
+            return True
+        self._fault('nan' if 'NaN' in wrong else 'contract', shepherd, channel, wrong)
+        return False
+
+    def _fault(self, kind: str, shepherd: int, channel: str, words: str) -> None:
+        self.faults[kind] = self.faults.get(kind, 0) + 1
+        self.node.get_logger().warning(
+            f'shepherd_{shepherd}/scan/{channel}: {words}; the shepherd stands still for this '
+            'stamp; start the lidar with the options that the checkpoint was trained with',
+            throttle_duration_sec=THROTTLE,
+        )

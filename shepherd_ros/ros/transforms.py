@@ -1,0 +1,41 @@
+"""The shepherds' frames on /tf, where tf2_msgs is installed (it is with ROS, not from PyPI)."""
+
+from __future__ import annotations
+
+from geometry_msgs.msg import TransformStamped
+from shepherd_ros.ros.node import ShepherdNode, stamp
+from torch import Tensor
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:
+    TFMessage = None
+
+
+def shepherd_transforms(ns: int, world: str, shepherds: Tensor) -> list[TransformStamped]:
+    """Return the transform from the world to each shepherd's frame, which never turns."""
+    transforms = []
+    for h, (x, y) in enumerate(shepherds.tolist()):
+        transform = TransformStamped(child_frame_id=f'shepherd_{h}')
+        transform.header.stamp, transform.header.frame_id = stamp(ns), world
+        transform.transform.translation.x, transform.transform.translation.y = x, y
+        transform.transform.rotation.w = 1.0
+        transforms.append(transform)
+    return transforms
+
+
+class TransformOutput:
+    """Publishes the shepherds' frames, so that viewers can place their scans."""
+
+    def __init__(self, node: ShepherdNode) -> None:
+        """Advertise /tf, if its type is installed."""
+        self.node = node
+        self.publisher = (
+            None if TFMessage is None else node.create_publisher(TFMessage, '/tf', 100)
+        )
+
+    def publish(self, ns: int, shepherds: Tensor) -> None:
+        """Publish where the shepherds are, (H, 2) m, if anybody wants to know."""
+        if self.publisher is not None and self.publisher.get_subscription_count():
+            frame = self.node.frame_id
+            self.publisher.publish(TFMessage(transforms=shepherd_transforms(ns, frame, shepherds)))

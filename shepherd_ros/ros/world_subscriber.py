@@ -1,0 +1,122 @@
+"""Hear the world: pair the poses of flock and shepherds by stamp, with goal and episode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from shepherd_ros.config import ConfigError
+from shepherd_ros.ros.messages import decode_poses
+from shepherd_ros.ros.node import ShepherdNode
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.wire.episode import Episode
+import torch
+from torch import Tensor
+
+
+@lru_cache(maxsize=4)  # nodes in one process hear the same bytes
+def _hear(raw: bytes) -> tuple[int, str, Tensor, Tensor, bool]:
+    """Return what decode_poses() does, and whether all of it is finite."""
+    ns, frame_id, position, heading = decode_poses(raw)
+    finite = np.isfinite(position.numpy()).all() and np.isfinite(heading.numpy()).all()
+    return ns, frame_id, position, heading, bool(finite)
+
+
+class Listener:
+    """
+    Calls on_state(stamp_ns, true state, episode) for every state of the world that is heard whole.
+
+    on_episode(episode) comes before its first state. A state may come again with the same stamp:
+    flock_sim repeats one that nobody answers. A state older than the last one means that the
+    simulator or a bag started anew, and is passed on.
+    """
+
+    def __init__(
+        self,
+        node: ShepherdNode,
+        on_state: Callable[[int, WorldState, Episode], None],
+        on_episode: Callable[[Episode], None] = lambda episode: None,
+    ) -> None:
+        """Subscribe; latched topics first, so that they are served before states."""
+        self.node = node
+        self.on_state, self.on_episode = on_state, on_episode
+        self.episode: Episode | None = None
+        self.goal: Tensor | None = None
+        self.states = 0
+        self._halves: dict[str, tuple[int, Tensor, Tensor]] = {}
+        self._same: dict[str, Tensor] = {}  # what all states of the episode share
+        node.listen('episode', self._on_episode)
+        node.listen('goal', self._on_goal)
+        node.listen('flock/poses', lambda raw: self._on_poses('flock', raw), raw=True)
+        node.listen('shepherds/poses', lambda raw: self._on_poses('shepherds', raw), raw=True)
+
+    def _on_episode(self, message: Any) -> None:
+        try:
+            episode = Episode.from_json(message.data)
+        except ConfigError as error:
+            self.node.get_logger().error(str(error))
+            return
+        if episode != self.episode:  # flock_sim repeats the present one to those who are silent
+            self.episode = episode
+            self._same = {
+                'seed': torch.tensor(episode.seed),
+                'sheep_mask': torch.ones(episode.n_sheep, dtype=torch.bool),
+                'shepherd_mask': torch.ones(episode.n_shepherds, dtype=torch.bool),
+                'goal_radius': torch.tensor(episode.goal_radius, dtype=torch.float32),
+            }
+            self.on_episode(episode)
+        self._pair()
+
+    def _on_goal(self, message: Any) -> None:
+        if self._known_frame('goal', message.header.frame_id):
+            position = message.pose.position
+            self.goal = torch.tensor([position.x, position.y], dtype=torch.float32)
+            self._pair()
+
+    def _on_poses(self, side: str, raw: bytes) -> None:
+        ns, frame_id, position, heading, finite = _hear(raw)
+        if not self._known_frame(f'{side}/poses', frame_id):
+            return
+        if not finite:
+            self.node.get_logger().warning(
+                f'{side}/poses at {ns * 1e-9:.3f} s has a NaN or infinite pose: state ignored',
+                throttle_duration_sec=5.0,
+            )
+            return
+        self._halves[side] = (ns, position, heading)
+        self._pair()
+
+    def _known_frame(self, topic: str, frame_id: str) -> bool:
+        if frame_id == self.node.frame_id:
+            return True
+        self.node.get_logger().warning(
+            f'{topic} is in frame {frame_id!r}, expected {self.node.frame_id!r}: ignored; '
+            'set parameter frame_id of both nodes to the same name',
+            throttle_duration_sec=5.0,
+        )
+        return False
+
+    def _pair(self) -> None:
+        """Pass on the state if both halves have the same stamp and its episode is known."""
+        episode, goal = self.episode, self.goal
+        if len(self._halves) < 2 or episode is None or goal is None:
+            return
+        ns, sheep, heading = self._halves['flock']
+        other, shepherds, _ = self._halves['shepherds']
+        if ns != other or not episode.has(ns):
+            return
+        if len(sheep) != episode.n_sheep or len(shepherds) != episode.n_shepherds:
+            return
+        self._halves.clear()
+        self.states += 1
+        state = WorldState(
+            step=torch.tensor(episode.step_of(ns)),
+            sheep=sheep,
+            heading=heading,
+            shepherds=shepherds,
+            goal=goal,
+            **self._same,
+        )
+        self.on_state(ns, state, episode)

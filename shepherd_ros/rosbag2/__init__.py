@@ -1,0 +1,1 @@
+"""Files of rosbag2: MCAP records, readers, writers, recovery."""

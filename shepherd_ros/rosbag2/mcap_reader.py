@@ -1,0 +1,246 @@
+"""One MCAP file that is being read: what its end says of it, and its chunks one at a time."""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import cached_property
+from pathlib import Path
+import struct
+from typing import Any, BinaryIO, NamedTuple
+import zlib
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, ChunkIndex, MetadataIndex, Schema, Statistics
+from mcap.records import Metadata as MetadataRecord
+from shepherd_ros.rosbag2.errors import BagError, DamageError, unreadable
+from shepherd_ros.rosbag2.metadata import Metadata
+from shepherd_ros.rosbag2.records import (
+    check_magic,
+    contents,
+    FOOTER_SIZE,
+    MAGIC,
+    Message,
+    parse,
+    parse_chunk,
+    PREFIX,
+    read_at,
+    Record,
+    record_at,
+    unpack,
+    walk,
+)
+
+RUN = 1 << 20  # [bytes] of messages outside chunks that are read at once
+CUT_OFF = 'it has no end: the recording was cut off'
+
+
+class ChunkRef(NamedTuple):
+    """Where messages lie: a chunk, or a run of messages outside chunks; times in ns."""
+
+    start_ns: int
+    end_ns: int
+    offset: int
+    length: int  # [bytes] with the head of the record
+    channels: frozenset[int] | None  # with messages in it, None if not known
+    packed: bool  # a chunk
+
+
+class Storage:
+    """
+    The topics, counts and chunks of one MCAP file.
+
+    The file is open only while something is read, and at most one chunk is in memory.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Read the summary at the end of the file, or all of it if it has none."""
+        self.path = path
+        self.size = 0  # [bytes]
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.counts: Counter[int] = Counter()  # messages by channel
+        self.start_ns = self.end_ns = 0
+        self.chunks: list[ChunkRef] = []
+        self.compressions: set[str] = set()
+        self._text = ''  # of the last record named rosbag2
+        self._notes: list[MetadataIndex] = []
+        try:
+            with path.open('rb') as file:
+                self._open(file)
+        except DamageError as error:
+            raise BagError(path, str(error)) from error
+        except OSError as error:
+            raise unreadable(path, error) from error
+
+    @property
+    def count(self) -> int:
+        """Return how many messages the file has."""
+        return sum(self.counts.values())
+
+    @cached_property
+    def metadata(self) -> Metadata | None:
+        """Return what the file says of the bag, None if nothing; raises BagError."""
+        return Metadata.from_yaml(self._text, self.path) if self._text else None
+
+    def read(self, chunk: ChunkRef) -> list[Message]:
+        """Return the messages of a chunk in the order of their log times; raises BagError."""
+        try:
+            with self.path.open('rb') as file:
+                items = contents(self._data(file, chunk), chunk.offset)
+                messages = [item for item in items if isinstance(item, Message)]
+            for message in messages:
+                if not chunk.start_ns <= message.log_ns <= chunk.end_ns:
+                    raise DamageError(chunk.offset, 'a message outside the time of its chunk')
+                if message.channel not in self.channels:
+                    raise DamageError(chunk.offset, f'unknown channel {message.channel}')
+        except DamageError as error:
+            raise BagError(self.path, str(error)) from error
+        except OSError as error:
+            raise unreadable(self.path, error) from error
+        messages.sort(key=lambda message: message.log_ns)
+        return messages
+
+    def _data(self, file: BinaryIO, chunk: ChunkRef) -> bytes:
+        if not chunk.packed:
+            return read_at(file, chunk.offset, chunk.length)
+        record = record_at(file, chunk.offset, self.size)
+        if record.opcode != Opcode.CHUNK or record.end - record.offset != chunk.length:
+            raise DamageError(chunk.offset, 'the index names a chunk that is not there')
+        body = read_at(file, record.body, record.length)
+        return unpack(parse_chunk(body, record.offset), record.offset)
+
+    # ---- opening ----
+
+    def _open(self, file: BinaryIO) -> None:
+        self.size = check_magic(file, self.path)
+        footer, summary_start, crc = self._footer(file)
+        told = bool(summary_start) and self._read_summary(file, summary_start, footer, crc)
+        if not told or (self.count and not self.chunks) or not self.channels:
+            self._scan(file, summary_start or footer)
+        self._check()
+        if self._notes:
+            note = max(self._notes, key=lambda index: index.offset)
+            self._read_note(file, record_at(file, note.offset, self.size))
+
+    def _footer(self, file: BinaryIO) -> tuple[int, int, int]:
+        """Return where the footer begins, where the summary does (0: none), and its CRC."""
+        start = self.size - FOOTER_SIZE
+        if start < len(MAGIC):
+            raise BagError(self.path, CUT_OFF)
+        data = read_at(file, start, FOOTER_SIZE)
+        if data[-len(MAGIC) :] != MAGIC or PREFIX.unpack_from(data) != (Opcode.FOOTER, 20):
+            raise BagError(self.path, CUT_OFF)
+        summary_start, offsets_start, crc = struct.unpack_from('<QQI', data, PREFIX.size)
+        if summary_start and not len(MAGIC) <= summary_start <= (offsets_start or start) <= start:
+            raise DamageError(start, f'a summary at {summary_start}')
+        return start, summary_start, crc
+
+    def _read_summary(self, file: BinaryIO, start: int, end: int, crc: int) -> bool:
+        """Take what the summary says; return whether it says how many messages there are."""
+        counted = False
+        # the checksum includes the footer up to itself
+        data = read_at(file, start, end - start + PREFIX.size + 16)
+        if crc and zlib.crc32(data) != crc:
+            raise DamageError(start, 'a summary whose checksum is wrong')
+        for record in walk(file, start, end):
+            begin = record.body - start
+            item = parse(record.opcode, data[begin : begin + record.length], record.offset)
+            if isinstance(item, Statistics):
+                counted = True
+                self.counts.update(item.channel_message_counts)
+                self.start_ns, self.end_ns = item.message_start_time, item.message_end_time
+            elif isinstance(item, ChunkIndex):
+                self._add_index(item)
+            elif isinstance(item, MetadataIndex) and item.name == 'rosbag2':
+                self._notes.append(item)
+            else:
+                self._define(item)
+        return counted
+
+    def _define(self, item: Any) -> None:
+        if isinstance(item, Schema):
+            self.schemas[item.id] = item
+        elif isinstance(item, Channel):
+            self.channels[item.id] = item
+
+    def _add_index(self, index: ChunkIndex) -> None:
+        self.compressions.add(index.compression)
+        channels = frozenset(index.message_index_offsets) or None
+        times = index.message_start_time, index.message_end_time
+        if index.chunk_start_offset + index.chunk_length > self.size:
+            raise DamageError(
+                index.chunk_start_offset, 'the index names a chunk that is not there'
+            )
+        place = index.chunk_start_offset, index.chunk_length
+        self.chunks.append(ChunkRef(*times, *place, channels, packed=True))
+
+    def _read_note(self, file: BinaryIO, record: Record) -> None:
+        """Take a metadata record of rosbag2."""
+        item = parse(record.opcode, read_at(file, record.body, record.length), record.offset)
+        if isinstance(item, MetadataRecord) and item.metadata.get('serialized_metadata'):
+            self._text = item.metadata['serialized_metadata']
+
+    def _check(self) -> None:
+        for channel in self.channels.values():
+            if channel.schema_id and channel.schema_id not in self.schemas:
+                raise DamageError(0, f'{channel.topic!r} has no schema')
+        unknown = self.counts.keys() - self.channels.keys()
+        if unknown:
+            raise DamageError(0, f'messages of unknown channels {sorted(unknown)[:5]}')
+
+    # ---- files without an index ----
+
+    def _scan(self, file: BinaryIO, end: int) -> None:
+        """Read the whole file to find out what the summary does not say."""
+        self.chunks, self.counts = [], Counter()
+        run: list[tuple[Record, Message]] = []
+        for record in walk(file, len(MAGIC), end):
+            if record.opcode == Opcode.DATA_END:
+                break
+            if record.opcode == Opcode.MESSAGE:
+                raw = read_at(file, record.offset, record.end - record.offset)
+                run += [
+                    (record, item)
+                    for item in contents(raw, record.offset)
+                    if isinstance(item, Message)
+                ]
+                if record.end - run[0][0].offset > RUN:
+                    self._end_run(run)
+                continue
+            self._end_run(run)
+            if record.opcode == Opcode.CHUNK:
+                self._scan_chunk(file, record)
+            elif record.opcode == Opcode.METADATA:
+                self._read_note(file, record)
+            elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                body = read_at(file, record.body, record.length)
+                self._define(parse(record.opcode, body, record.offset))
+        self._end_run(run)
+        self.start_ns = min((ref.start_ns for ref in self.chunks), default=0)
+        self.end_ns = max((ref.end_ns for ref in self.chunks), default=0)
+
+    def _end_run(self, run: list[tuple[Record, Message]]) -> None:
+        if run:
+            place = run[0][0].offset, run[-1][0].end - run[0][0].offset
+            self._add_chunk([message for _, message in run], *place, packed=False)
+            run.clear()
+
+    def _scan_chunk(self, file: BinaryIO, record: Record) -> None:
+        chunk = parse_chunk(read_at(file, record.body, record.length), record.offset)
+        self.compressions.add(chunk.compression)
+        messages = []
+        for item in contents(unpack(chunk, record.offset), record.offset):
+            if isinstance(item, Message):
+                messages.append(item)
+            else:
+                self._define(item)
+        place = record.offset, record.end - record.offset
+        self._add_chunk(messages, *place, packed=True)
+
+    def _add_chunk(self, messages: list[Message], offset: int, length: int, packed: bool) -> None:
+        if messages:
+            times = [message.log_ns for message in messages]
+            tally = Counter(message.channel for message in messages)
+            self.counts.update(tally)
+            channels = frozenset(tally)
+            self.chunks.append(ChunkRef(min(times), max(times), offset, length, channels, packed))

@@ -1,0 +1,102 @@
+"""Quality of service in the words of rosbag2."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from shepherd_ros.rosbag2.errors import BagError
+from shepherd_ros.rosbag2.yaml_text import dump_yaml, line_of, load_yaml
+from shepherd_ros.wire.topics import Profile
+
+INFINITE = (9223372036, 854775807)  # s, ns
+# words of a policy by the numbers that versions up to 8 have
+WORDS = {
+    'history': ('system_default', 'keep_last', 'keep_all', 'unknown'),
+    'reliability': ('system_default', 'reliable', 'best_effort', 'unknown', 'best_available'),
+    'durability': (
+        'system_default', 'transient_local', 'volatile', 'unknown', 'best_available',
+    ),
+    'liveliness': (
+        'system_default', 'automatic', 'manual_by_node', 'manual_by_topic', 'unknown',
+        'best_available',
+    ),
+}  # fmt: skip
+_DURATIONS = ('deadline', 'lifespan', 'liveliness_lease_duration')
+
+
+@dataclass(frozen=True)
+class Qos:
+    """Quality of service that a publisher offered, in rosbag2's words; durations in s and ns."""
+
+    reliability: str = 'reliable'
+    durability: str = 'volatile'
+    history: str = 'unknown'  # what discovery says: it is not sent
+    depth: int = 0
+    deadline: tuple[int, int] = INFINITE
+    lifespan: tuple[int, int] = INFINITE
+    liveliness: str = 'automatic'
+    liveliness_lease_duration: tuple[int, int] = INFINITE
+    avoid_ros_namespace_conventions: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse words that rosbag2 does not know."""
+        for policy, words in WORDS.items():
+            if getattr(self, policy) not in words:
+                raise ValueError(
+                    f'{policy} is {getattr(self, policy)!r}: expected one of {", ".join(words)}'
+                )
+
+    @classmethod
+    def of_profile(cls, profile: Profile) -> Qos:
+        """Return what a publisher with a profile of the contract offers."""
+        return cls(profile.reliability, profile.durability, 'keep_last', profile.depth)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the policies in the order of rosbag2."""
+        names = (
+            'history', 'depth', 'reliability', 'durability', 'deadline', 'lifespan',
+            'liveliness', 'liveliness_lease_duration', 'avoid_ros_namespace_conventions',
+        )  # fmt: skip
+        data = {name: getattr(self, name) for name in names}
+        for name in _DURATIONS:
+            data[name] = dict(zip(('sec', 'nsec'), data[name], strict=True))
+        return data
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Qos:
+        """Return the policies of any version; raises KeyError, TypeError or ValueError."""
+        values: dict[str, Any] = {}
+        for policy, words in WORDS.items():
+            value = data[policy]
+            values[policy] = words[value] if isinstance(value, int) else str(value)
+        for name in _DURATIONS:
+            values[name] = int(data[name]['sec']), int(data[name]['nsec'])
+        avoid = bool(data['avoid_ros_namespace_conventions'])
+        return cls(**values, depth=int(data['depth']), avoid_ros_namespace_conventions=avoid)
+
+
+@lru_cache(maxsize=256)  # there are few that differ
+def qos_yaml(profiles: tuple[Qos, ...]) -> str:
+    """Return profiles as the YAML text that MCAP channels carry."""
+    return dump_yaml([profile.to_dict() for profile in profiles])
+
+
+def read_qos(data: Any, path: Path) -> tuple[Qos, ...]:
+    """Return profiles from a list, or from a YAML text as up to version 8; raises BagError."""
+    return _read_text(data, path) if isinstance(data, str) else _read_rows(data, path)
+
+
+@lru_cache(maxsize=256)  # most topics have one of a few texts
+def _read_text(text: str, path: Path) -> tuple[Qos, ...]:
+    return _read_rows(load_yaml(text, path), path)
+
+
+def _read_rows(rows: Any, path: Path) -> tuple[Qos, ...]:
+    try:
+        return tuple(Qos.from_dict(row) for row in rows or ())
+    except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
+        raise BagError(path, f'quality of service cannot be read ({line_of(error)})') from error

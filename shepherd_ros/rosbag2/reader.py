@@ -1,0 +1,218 @@
+"""Reads bags: a folder of rosbag2 with MCAP files, with or without metadata.yaml, or one file."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import replace
+from functools import cached_property
+import heapq
+import os
+from pathlib import Path
+import re
+from typing import NamedTuple
+
+from shepherd_ros.rosbag2.errors import BagError, unreadable
+from shepherd_ros.rosbag2.mcap_reader import Storage
+from shepherd_ros.rosbag2.metadata import FILE, Metadata, STORAGE, TopicInfo
+from shepherd_ros.rosbag2.qos import read_qos
+from shepherd_ros.rosbag2.yaml_text import LARGEST
+
+
+class BagMessage(NamedTuple):
+    """A message as it was recorded: when it was received and when it was sent [ns]."""
+
+    topic: str
+    type: str
+    log_ns: int
+    publish_ns: int
+    data: bytes  # CDR
+
+
+class Bag:
+    """A bag that can be read any number of times; no file stays open."""
+
+    def __init__(self, path: Path, files: list[Path], metadata: Metadata | None) -> None:
+        """Read what the ends of all files say."""
+        self.path = path
+        self.storages = [Storage(file) for file in files]
+        self._metadata = metadata
+        self.topics: dict[str, TopicInfo] = {}  # in the order of their names
+        self.schemas: dict[str, tuple[str, bytes]] = {}  # encoding and text of a type
+        for storage in self.storages:
+            self._add_topics(storage)
+        self.topics = dict(sorted(self.topics.items()))
+
+    @property
+    def count(self) -> int:
+        """Return how many messages the bag has."""
+        return sum(storage.count for storage in self.storages)
+
+    @property
+    def start_ns(self) -> int:
+        """Return the first log time, 0 without messages."""
+        return min((s.start_ns for s in self.storages if s.count), default=0)
+
+    @property
+    def end_ns(self) -> int:
+        """Return the last log time, 0 without messages."""
+        return max((s.end_ns for s in self.storages if s.count), default=0)
+
+    @cached_property
+    def metadata(self) -> Metadata | None:
+        """Return what metadata.yaml says, or else the last file, None if nothing does."""
+        if self._metadata is not None:
+            return self._metadata
+        noted = (storage.metadata for storage in reversed(self.storages))
+        return next((metadata for metadata in noted if metadata is not None), None)
+
+    @property
+    def noted_count(self) -> int | None:
+        """Return how many messages there are according to metadata.yaml, None without it."""
+        noted = self._metadata
+        return None if noted is None else sum(topic.count for topic in noted.topics)
+
+    @property
+    def custom_data(self) -> dict[str, str]:
+        """Return what the recorder wrote into the metadata for itself."""
+        return self.metadata.custom_data if self.metadata else {}
+
+    def messages(
+        self,
+        topics: Collection[str] | None = None,
+        start_ns: int = 0,
+        end_ns: int | None = None,
+    ) -> Iterator[BagMessage]:
+        """
+        Yield messages in the order of their log times, those of [start_ns, end_ns) only.
+
+        topics None means all. Chunks that overlap in time are in memory together, else one at a
+        time. Raises BagError where the bag is damaged.
+        """
+        end = 2**64 if end_ns is None else end_ns
+        wanted = [self._wanted(storage, topics) for storage in self.storages]
+        chunks = sorted(
+            (chunk.start_ns, number, chunk)
+            for number, storage in enumerate(self.storages)
+            for chunk in storage.chunks
+            if chunk.end_ns >= start_ns
+            and chunk.start_ns < end
+            and (chunk.channels is None or not chunk.channels.isdisjoint(wanted[number]))
+        )
+        # log time, file, place in the file, place in the chunk: no two are equal
+        heap: list[tuple[int, int, int, int, BagMessage]] = []
+        for first, number, chunk in chunks:
+            while heap and heap[0][0] < first:
+                yield heapq.heappop(heap)[-1]
+            known = wanted[number]
+            for place, message in enumerate(self.storages[number].read(chunk)):
+                name = known.get(message.channel)
+                if name is not None and start_ns <= message.log_ns < end:
+                    item = BagMessage(*name, message.log_ns, message.publish_ns, message.data)
+                    heapq.heappush(heap, (message.log_ns, number, chunk.offset, place, item))
+        while heap:
+            yield heapq.heappop(heap)[-1]
+
+    def _wanted(
+        self, storage: Storage, topics: Collection[str] | None
+    ) -> dict[int, tuple[str, str]]:
+        """Return topic and type of the wanted channels of a file."""
+        return {
+            channel.id: (channel.topic, _type(storage, channel.schema_id))
+            for channel in storage.channels.values()
+            if topics is None or channel.topic in topics
+        }
+
+    def _add_topics(self, storage: Storage) -> None:
+        for schema in storage.schemas.values():
+            self.schemas.setdefault(schema.name, (schema.encoding, schema.data))
+        for channel in storage.channels.values():
+            count = storage.counts[channel.id]
+            before = self.topics.get(channel.topic)
+            if before is not None:
+                self.topics[channel.topic] = replace(before, count=before.count + count)
+                continue
+            self.topics[channel.topic] = TopicInfo(
+                name=channel.topic,
+                type=_type(storage, channel.schema_id),
+                count=count,
+                qos=read_qos(channel.metadata.get('offered_qos_profiles'), storage.path),
+                type_hash=channel.metadata.get('topic_type_hash', ''),
+                serialization=channel.message_encoding,
+            )
+
+
+def _type(storage: Storage, schema: int) -> str:
+    return storage.schemas[schema].name if schema else ''
+
+
+def open_bag(path: Path | str) -> Bag:
+    """Return the bag in a folder or a single .mcap file; raises BagError."""
+    path = Path(path)
+    try:
+        folder, there = path.is_dir(), path.exists()
+    except OSError as error:
+        raise unreadable(path, error) from error
+    if not there:
+        raise BagError(path, 'there is no such file or folder', 'check the path')
+    return Bag(path, *_folder(path)) if folder else Bag(path, [path], None)
+
+
+def _folder(folder: Path) -> tuple[list[Path], Metadata | None]:
+    """Return the files of a bag in order and what metadata.yaml says, if there is one."""
+    note = folder / FILE
+    if not note.exists():
+        return mcap_files(folder), None
+    metadata = read_metadata(note)
+    if metadata.storage != STORAGE:
+        raise BagError(
+            folder,
+            f'its storage is {metadata.storage[:40]!r}, expected mcap',
+            'use `ros2 bag convert`',
+        )
+    if metadata.compression_mode.lower() not in ('', 'none'):
+        raise BagError(
+            folder,
+            f'its compression is by {metadata.compression_mode[:40]!r}, expected by chunks',
+            'use `ros2 bag convert`',
+        )
+    files = [folder / Path(file.path).name for file in metadata.files]
+    if not files:
+        raise BagError(note, 'it names no file')
+    for file in files:
+        if not file.is_file():
+            raise BagError(file, f'it is not there, but {FILE} names it')
+    return files, metadata
+
+
+def read_metadata(path: Path) -> Metadata:
+    """Return what a metadata.yaml says; raises BagError."""
+    if not path.is_file():  # a pipe would never end
+        raise BagError(path, 'it is no file', 'expected the folder of a bag')
+    try:
+        with path.open('rb') as file:
+            data = file.read(min(os.fstat(file.fileno()).st_size, LARGEST) + 1)
+    except OSError as error:
+        raise unreadable(path, error) from error
+    fix = f'run `shepherd bag recover {path.parent}` to write it again'
+    try:
+        return Metadata.from_yaml(data.decode(), path)
+    except BagError as error:
+        raise BagError(path, error.what, fix) from error
+    except UnicodeDecodeError as error:
+        raise BagError(path, 'it is no text', fix) from error
+
+
+def mcap_files(folder: Path) -> list[Path]:
+    """Return the MCAP files of a folder, <name>_2.mcap before <name>_10.mcap; raises BagError."""
+
+    def order(path: Path) -> tuple[int, str]:
+        number = re.search(r'_(\d{1,18})$', path.stem)
+        return int(number[1]) if number else -1, path.name
+
+    try:
+        files = [path for path in folder.iterdir() if path.suffix == '.mcap' and path.is_file()]
+    except OSError as error:
+        raise unreadable(folder, error) from error
+    if not files:
+        raise BagError(folder, 'it holds no .mcap file', 'expected the folder of a bag')
+    return sorted(files, key=order)

@@ -1,0 +1,227 @@
+"""
+Records of an MCAP file as they lie on the disk, read with suspicion.
+
+Nothing is believed before it is checked against the size of the file, so that a damaged file
+ends in DamageError and never in a huge allocation. The readers of the library mcap believe
+lengths of up to 4 GiB, stop at the first damage and do not tell where it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from io import BytesIO
+from pathlib import Path
+import struct
+from typing import Any, BinaryIO, NamedTuple
+import zlib
+
+from lz4 import frame as lz4  # type: ignore[import-untyped]
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile, McapError
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    ChunkIndex,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
+from shepherd_ros.rosbag2.errors import BagError, DamageError
+import zstandard
+
+MAGIC = b'\x89MCAP0\r\n'
+PREFIX = struct.Struct('<BQ')  # opcode, length of the body [bytes]
+MESSAGE = struct.Struct('<HIQQ')  # channel, sequence, log time, publish time [ns]
+CHUNK = struct.Struct('<QQQII')  # first and last log time [ns], size, CRC, length of a name
+FOOTER_SIZE = PREFIX.size + 20 + len(MAGIC)  # [bytes] of everything that ends a file
+LARGEST = 256 << 20  # [bytes] of one record, and of one chunk when unpacked
+PIECE = 1 << 20  # [bytes] that are unpacked at once
+_PARSED: dict[int, Any] = {
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.CHUNK_INDEX: ChunkIndex,
+    Opcode.METADATA: Metadata,
+    Opcode.METADATA_INDEX: MetadataIndex,
+    Opcode.STATISTICS: Statistics,
+}
+
+
+class Record(NamedTuple):
+    """Where a record lies in a file [bytes]."""
+
+    opcode: int
+    offset: int
+    length: int  # of the body
+
+    @property
+    def body(self) -> int:
+        """Return where the body begins."""
+        return self.offset + PREFIX.size
+
+    @property
+    def end(self) -> int:
+        """Return where the next record begins."""
+        return self.body + self.length
+
+
+class Message(NamedTuple):
+    """A message of a channel; times in ns."""
+
+    channel: int
+    log_ns: int
+    publish_ns: int
+    data: bytes
+
+
+class Chunk(NamedTuple):
+    """The body of a chunk; times in ns, size [bytes] of the data when unpacked."""
+
+    start_ns: int
+    end_ns: int
+    size: int
+    crc: int
+    compression: str
+    data: bytes
+
+
+def read_at(file: BinaryIO, offset: int, length: int) -> bytes:
+    """Return length bytes of a file from offset on; raises DamageError if it has not so many."""
+    if length > LARGEST:
+        raise DamageError(offset, f'a record of {length} bytes: expected at most {LARGEST}')
+    file.seek(offset)
+    data = file.read(length)
+    if len(data) != length:
+        raise DamageError(offset, f'the file ends after {len(data)} of {length} bytes')
+    return data
+
+
+def record_at(file: BinaryIO, offset: int, end: int) -> Record:
+    """Return the record that begins at offset and fits in front of end; raises DamageError."""
+    opcode, length = PREFIX.unpack(read_at(file, offset, PREFIX.size))
+    record = Record(opcode, offset, length)
+    if opcode == 0 or Opcode.DATA_END < opcode < 0x80:
+        raise DamageError(offset, f'a record of unknown kind {opcode}')
+    if record.end > end:
+        raise DamageError(offset, f'a record of {length} bytes, where {end - offset} are left')
+    return record
+
+
+def walk(file: BinaryIO, offset: int, end: int) -> Iterator[Record]:
+    """Yield all records from offset to end; raises DamageError."""
+    while offset < end:
+        record = record_at(file, offset, end)
+        yield record
+        offset = record.end
+
+
+class _Exact(ReadDataStream):
+    """A stream that never returns less than what was asked for."""
+
+    def read(self, length: int) -> bytes:
+        data = super().read(length)
+        if len(data) != length:
+            raise EndOfFile
+        return data
+
+
+def parse(opcode: int, body: bytes, offset: int) -> Any:
+    """Return a record of mcap.records, None for kinds that are not needed; raises DamageError."""
+    kind = _PARSED.get(opcode)
+    if kind is None:
+        return None
+    try:
+        return kind.read(_Exact(BytesIO(body)))
+    except (McapError, struct.error, ValueError, OverflowError) as error:
+        raise DamageError(offset, f'a damaged {kind.__name__} ({type(error).__name__})') from error
+
+
+def parse_chunk(body: bytes, offset: int) -> Chunk:
+    """Return the parts of the body of a chunk; raises DamageError."""
+    try:
+        start, end, size, crc, length = CHUNK.unpack_from(body)
+        compression = body[CHUNK.size : CHUNK.size + length].decode()
+        (packed,) = struct.unpack_from('<Q', body, CHUNK.size + length)
+    except (struct.error, ValueError) as error:
+        raise DamageError(offset, 'a damaged chunk') from error
+    at = CHUNK.size + length + 8
+    if packed != len(body) - at:
+        raise DamageError(offset, f'a chunk of {packed} bytes: expected {len(body) - at}')
+    return Chunk(start, end, size, crc, compression, body[at:])
+
+
+def unpack(chunk: Chunk, offset: int) -> bytes:
+    """Return the records of a chunk, checked by size and CRC; raises DamageError."""
+    size = chunk.size
+    if size > LARGEST:
+        raise DamageError(offset, f'a chunk of {size} bytes: expected at most {LARGEST}')
+    try:
+        if chunk.compression == 'zstd':
+            packer = zstandard.ZstdDecompressor(max_window_size=LARGEST)
+            data = _piecewise(packer.stream_reader(chunk.data).read, size)
+        elif chunk.compression == 'lz4':
+            unpacker, left = lz4.LZ4FrameDecompressor(), [chunk.data]
+            data = _piecewise(
+                lambda most: (
+                    unpacker.decompress(left.pop() if left else b'', most)
+                    if not unpacker.eof
+                    else b''
+                ),
+                size,
+            )
+        elif chunk.compression == '':
+            data = chunk.data
+        else:
+            raise DamageError(offset, f'a chunk packed with {chunk.compression[:20]!r}')
+    except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
+        raise DamageError(offset, f'a chunk that {chunk.compression} cannot unpack') from error
+    if len(data) != size:
+        raise DamageError(offset, f'a chunk of {len(data)} bytes: expected {size}')
+    if chunk.crc and zlib.crc32(data) != chunk.crc:
+        raise DamageError(offset, 'a chunk whose checksum is wrong')
+    return data
+
+
+def _piecewise(read: Callable[[int], bytes], size: int) -> bytes:
+    """Return what read(most) gives until it gives nothing, or one byte more than size."""
+    data = bytearray()
+    while len(data) <= size:
+        piece = read(min(PIECE, size + 1 - len(data)))
+        if not piece:
+            break
+        data += piece
+    return bytes(data)
+
+
+def contents(data: bytes, offset: int) -> Iterator[Message | Schema | Channel]:
+    """Yield what lies in the data of a chunk that begins at offset; raises DamageError."""
+    at, size = 0, len(data)
+    while at < size:
+        if at + PREFIX.size > size:
+            raise DamageError(offset, 'a chunk that ends within a record')
+        opcode, length = PREFIX.unpack_from(data, at)
+        at += PREFIX.size
+        end = at + length
+        if end > size:
+            raise DamageError(offset, 'a chunk that ends within a record')
+        if opcode == Opcode.MESSAGE:
+            if length < MESSAGE.size:
+                raise DamageError(offset, f'a message of {length} bytes')
+            channel, _, log_ns, publish_ns = MESSAGE.unpack_from(data, at)
+            yield Message(channel, log_ns, publish_ns, data[at + MESSAGE.size : end])
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            yield parse(opcode, data[at:end], offset)
+        elif opcode == 0 or Opcode.DATA_END < opcode < 0x80:
+            raise DamageError(offset, f'a record of unknown kind {opcode} in a chunk')
+        at = end
+
+
+def check_magic(file: BinaryIO, path: Path) -> int:
+    """Return the size of a file [bytes] that begins like MCAP; raises BagError."""
+    size = file.seek(0, 2)
+    file.seek(0)
+    if size == 0:
+        raise BagError(path, 'it is empty', 'there is nothing to recover: record again')
+    if file.read(len(MAGIC)) != MAGIC:
+        raise BagError(path, 'it is no MCAP file', 'expected a bag in the format of MCAP')
+    return size

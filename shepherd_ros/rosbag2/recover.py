@@ -1,0 +1,167 @@
+"""Makes a new bag of what can be read of a damaged one; the damaged one is not touched."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+import shutil
+import tempfile
+
+from mcap.records import Channel
+from shepherd_ros.rosbag2.errors import BagError, DamageError, unreadable
+from shepherd_ros.rosbag2.metadata import Metadata
+from shepherd_ros.rosbag2.qos import Qos, read_qos
+from shepherd_ros.rosbag2.reader import mcap_files
+from shepherd_ros.rosbag2.salvage import Salvage
+from shepherd_ros.rosbag2.writer import BagWriter
+
+
+@dataclass
+class RecoverResult:
+    """What was kept and what was lost."""
+
+    folder: Path  # of the new bag
+    messages: int = 0
+    topics: dict[str, int] = field(default_factory=dict)  # messages kept, by topic
+    lost_bytes: int = 0  # that could not be read
+    lost_chunks: int = 0  # at least
+    files: int = 0  # that were read
+    refused: list[str] = field(default_factory=list)  # why files could not be read at all
+
+    def text(self) -> str:
+        """Return the result in lines for a terminal."""
+        lines = [f'{self.folder}: {self.messages} messages kept of {self.files} files']
+        lines += [f'  {topic}: {count}' for topic, count in sorted(self.topics.items())]
+        lines.append(f'lost: {self.lost_bytes} bytes in {self.lost_chunks} places')
+        return '\n'.join(lines + self.refused)
+
+
+def recovered_folder(path: Path) -> Path:
+    """Return where the recovered bag goes unless told otherwise: beside the damaged one."""
+    whole = path.resolve()
+    return whole.with_name(f'{whole.name if whole.is_dir() else whole.stem}_recovered')
+
+
+def recover(
+    path: Path | str, folder: Path | str | None = None, *, compression: str = 'none'
+) -> RecoverResult:
+    """
+    Write what can be read of a bag, a folder or one .mcap file, into a new folder.
+
+    The new folder appears when it is complete. Raises BagError if nothing is there to read, or
+    if the new bag cannot be written.
+    """
+    path = Path(path)
+    try:
+        files = mcap_files(path) if path.is_dir() else [path]
+    except OSError as error:
+        raise unreadable(path, error) from error
+    target = recovered_folder(path) if folder is None else Path(folder)
+    if target.exists():
+        raise BagError(target, 'it exists already', 'choose another folder or remove this one')
+    result = RecoverResult(target)
+    sources = list(_sources(files, result))
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(prefix=f'.{target.name}.', dir=target.parent))
+    except OSError as error:
+        raise BagError(
+            target, f'it cannot be created ({error.strerror})', 'choose another folder'
+        ) from error
+    try:
+        _rewrite(sources, part / target.name, compression, result)
+        (part / target.name).rename(target)
+    except OSError as error:
+        raise BagError(
+            target, f'it cannot be written ({error.strerror})', 'choose another folder'
+        ) from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    return result
+
+
+def _sources(files: list[Path], result: RecoverResult) -> Iterable[Salvage]:
+    """Yield the files that can be read; raises BagError if there is none."""
+    errors = []
+    for file in files:
+        try:
+            yield Salvage(file)
+            result.files += 1
+        except BagError as error:
+            errors.append(error)
+        except OSError as error:
+            errors.append(unreadable(file, error))
+    if len(errors) == len(files):
+        raise errors[0]
+    result.refused = [str(error) for error in errors]
+
+
+def _rewrite(
+    sources: list[Salvage], folder: Path, compression: str, result: RecoverResult
+) -> None:
+    custom = _custom_data(sources)
+    with BagWriter(folder, compression=compression, custom_data=custom, own=False) as writer:
+        for number, source in enumerate(sources):
+            if number:
+                writer.split()
+            refused: set[int] = set()
+            added: set[int] = set()
+            try:
+                for message in source:
+                    channel = source.channels[message.channel]
+                    if channel.id not in added | refused:
+                        (added if _add(writer, source, channel) else refused).add(channel.id)
+                    if channel.id in refused or message.log_ns >= 2**63:
+                        result.lost_bytes += len(message.data)
+                        continue
+                    publish_ns = min(message.publish_ns, 2**63 - 1)
+                    writer.write(channel.topic, message.data, message.log_ns, publish_ns)
+                    result.messages += 1
+                    result.topics[channel.topic] = result.topics.get(channel.topic, 0) + 1
+            except OSError as error:  # of the damaged file, as the writer raises BagError
+                result.refused.append(str(unreadable(source.path, error)))
+            except DamageError as error:  # somebody else cuts it while it is read
+                result.refused.append(f'{source.path}: {error}')
+            for channel in source.channels.values():
+                if channel.id not in added | refused:
+                    _add(writer, source, channel)
+            result.lost_bytes += source.lost_bytes
+            result.lost_chunks += source.lost_chunks
+
+
+def _add(writer: BagWriter, source: Salvage, channel: Channel) -> bool:
+    """Announce a topic as it was recorded; return whether it can be written."""
+    schema = source.schemas.get(channel.schema_id)
+    if schema is None or channel.message_encoding != 'cdr':
+        return False
+    try:
+        writer.add_topic(
+            channel.topic,
+            schema.name,
+            _qos(channel, source.path),
+            schema=(schema.encoding, schema.data),
+            hash_text=channel.metadata.get('topic_type_hash', ''),
+        )
+    except BagError:
+        if writer.closed:
+            raise
+        return False  # two types on one topic: the first one is kept
+    return True
+
+
+def _qos(channel: Channel, path: Path) -> tuple[Qos, ...]:
+    try:
+        return read_qos(channel.metadata.get('offered_qos_profiles'), path)
+    except BagError:
+        return ()
+
+
+def _custom_data(sources: list[Salvage]) -> dict[str, str]:
+    """Return what the recorder noted at the beginning of the first file that tells of it."""
+    for source in sources:
+        try:
+            return dict(Metadata.from_yaml(source.text, source.path).custom_data)
+        except BagError:
+            continue
+    return {}

@@ -1,0 +1,189 @@
+"""Writes bags that rosbag2 of ROS 2 Jazzy opens: a folder with MCAP files and metadata.yaml."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+
+from shepherd_ros import __version__
+from shepherd_ros.config import ConfigError, unknown_name
+from shepherd_ros.rosbag2.bag_files import BagFiles
+from shepherd_ros.rosbag2.errors import BagError
+from shepherd_ros.rosbag2.mcap_writer import PACKERS
+from shepherd_ros.rosbag2.metadata import Metadata, TopicInfo
+from shepherd_ros.rosbag2.qos import Qos
+from shepherd_ros.rosbag2.records import LARGEST
+from shepherd_ros.wire.contract import contract_hash, known, known_text, type_hash
+from shepherd_ros.wire.decode import CdrError, decode_string
+
+CHUNK_SIZE = 256 << 10  # [bytes]
+LARGEST_MESSAGE = LARGEST // 2  # [bytes], so that a chunk with it can be read
+SMALLEST_SPLIT = 1024  # [bytes], as in rosbag2
+VERSION_KEY = 'shepherd_ros.version'
+CONTRACT_KEY = 'shepherd_ros.contract'
+EPISODE_KEY = 'shepherd_ros.wire.episode'
+LOST_KEY = 'shepherd_ros.lost'  # JSON: how many messages the recorder missed, by topic
+_ELSEWHERE = 'free space or choose another place, then record into a new folder'
+
+
+class BagWriter:
+    """
+    Writes one bag; use it in a with statement.
+
+    What is written before a crash stays readable but for the last chunk; flush() ends a chunk
+    early. When the disk is full, the bag is closed with all that can be kept, and BagError is
+    raised. custom_data goes into the metadata, beside the version of the package, the hash of
+    the contract and the first episode; own=False leaves those out.
+    """
+
+    def __init__(
+        self,
+        folder: Path | str,
+        *,
+        compression: str = 'none',
+        chunk_size: int = CHUNK_SIZE,
+        split_bytes: int = 0,
+        split_seconds: float = 0.0,
+        custom_data: Mapping[str, str] | None = None,
+        own: bool = True,
+    ) -> None:
+        """Create the folder, which must not exist; raises BagError. Splits: 0 for never."""
+        if compression not in PACKERS:
+            raise unknown_name('compression', compression, list(PACKERS))
+        if not 1 <= chunk_size <= LARGEST_MESSAGE:
+            raise ConfigError(f'chunk_size is {chunk_size}: expected 1 to {LARGEST_MESSAGE} bytes')
+        if split_bytes and split_bytes < SMALLEST_SPLIT:
+            raise ConfigError(
+                f'split_bytes is {split_bytes}: expected 0, or at least {SMALLEST_SPLIT}'
+            )
+        if not split_seconds >= 0:
+            raise ConfigError(f'split_seconds is {split_seconds}: expected 0 or more')
+        self.folder = Path(folder)
+        self.split_bytes, self.split_ns = split_bytes, split_seconds * 1e9
+        self.custom_data = dict(custom_data or {})
+        if own:
+            self.custom_data.setdefault(VERSION_KEY, __version__)
+            self.custom_data.setdefault(CONTRACT_KEY, contract_hash())
+        self.count = 0  # messages taken
+        self.closed = False
+        try:
+            self._files = BagFiles(self.folder, compression, chunk_size, self.custom_data)
+        except FileExistsError as error:
+            raise BagError(
+                self.folder, 'it exists already', 'choose another folder or remove this one'
+            ) from error
+        except OSError as error:
+            raise BagError(
+                self.folder, f'it cannot be created ({error.strerror})', _ELSEWHERE
+            ) from error
+
+    def __enter__(self) -> BagWriter:
+        """Return the writer."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the bag: whatever went wrong outside, what was written is kept."""
+        self.close()
+
+    def add_topic(
+        self,
+        name: str,
+        type_name: str,
+        qos: Sequence[Qos] = (),
+        *,
+        schema: tuple[str, bytes] | None = None,
+        hash_text: str | None = None,
+    ) -> None:
+        """
+        Announce a topic; again is fine, another type on it is a BagError.
+
+        schema is encoding and text of a type that is not in the contract, hash_text its hash.
+        """
+        before = self._files.topics.get(name)
+        if before is not None:
+            if before.type != type_name:
+                raise BagError(
+                    self.folder,
+                    f'{name} has type {before.type} and is offered as {type_name} too',
+                    'record one of them, remap the other',
+                )
+            return
+        if schema is None:
+            schema = 'ros2msg', known_text(type_name)
+            hash_text = type_hash(type_name) if hash_text is None else hash_text
+        topic = TopicInfo(name, type_name, qos=tuple(qos), type_hash=hash_text or '')
+        encoding, text = schema
+        self._guarded(lambda: self._files.add_topic(topic, encoding, text))
+
+    def write(self, topic: str, cdr: bytes, log_ns: int, publish_ns: int) -> None:
+        """Write a message: when it was received and when it was sent [ns]; raises BagError."""
+        if topic not in self._files.topics:
+            raise BagError(self.folder, f'{topic} is not in it', 'call add_topic() first')
+        if not (0 <= log_ns < 2**63 and 0 <= publish_ns < 2**63 and len(cdr) < LARGEST_MESSAGE):
+            raise BagError(
+                self.folder,
+                f'{topic}: {len(cdr)} bytes at {log_ns} ns, sent at {publish_ns} ns',
+                f'expected times in [0, 2^63) ns and fewer than {LARGEST_MESSAGE} bytes',
+            )
+        self._keep_episode(topic, cdr)
+        if self._is_due(log_ns):
+            self.split()
+        self._guarded(lambda: self._files.add_message(topic, log_ns, publish_ns, cdr))
+        self.count += 1
+
+    def flush(self) -> None:
+        """Put all messages so far on the disk; raises BagError."""
+        self._guarded(lambda: self._files.file.end_chunk())
+
+    def split(self) -> None:
+        """Go on in a new file; raises BagError."""
+        self._guarded(self._files.split)
+
+    def close(self) -> None:
+        """Finish the files and write metadata.yaml; a second call does nothing."""
+        if not self.closed:
+            self._guarded(self._files.close)
+            self.closed = True
+
+    def metadata(self) -> Metadata:
+        """Return what metadata.yaml says or would say of what is on the disk."""
+        return self._files.metadata()
+
+    def _is_due(self, log_ns: int) -> bool:
+        """Return whether a message of this time belongs in a new file."""
+        first = self._files.first_ns
+        if self.closed or first is None:
+            return False
+        late = self.split_ns and log_ns - first > self.split_ns
+        return bool(late or 0 < self.split_bytes <= self._files.written)
+
+    def _keep_episode(self, topic: str, cdr: bytes) -> None:
+        """Take the first episode into the metadata of a bag of ours."""
+        data = self.custom_data
+        if CONTRACT_KEY in data and EPISODE_KEY not in data:
+            ours = known(topic)
+            if ours is not None and ours.topic.name == 'episode':
+                with suppress(CdrError):
+                    data[EPISODE_KEY] = decode_string(cdr)
+
+    def _guarded(self, action: Callable[[], None]) -> None:
+        """Do something with the files; on OSError keep what can be kept and raise BagError."""
+        if self.closed:
+            raise BagError(self.folder, 'the bag is closed', 'record into a new folder')
+        try:
+            action()
+        except OSError as error:
+            self.closed = True
+            self._files.rescue()
+            raise BagError(
+                self.folder,
+                f'it cannot be written ({error.strerror}); {self._files.count} messages are kept',
+                _ELSEWHERE,
+            ) from error

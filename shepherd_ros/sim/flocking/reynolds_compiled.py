@@ -1,0 +1,145 @@
+"""The step of the Reynolds flock, compiled for the CPU."""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from shepherd_ros.sim.compiled import compiled, flat
+from shepherd_ros.sim.neighbor_grid import build, leaves_out, nothing, within
+from shepherd_ros.sim.neighbors_compiled import below, in_reach, squares, squares_of
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.vectors import EPSILON
+from shepherd_ros.sim.vectors_compiled import length, unit
+import torch
+from torch import Tensor
+
+_EPSILON = np.float32(EPSILON)
+_ZERO, _ONE = np.float32(0), np.float32(1)
+_LARGE = 600  # flocks from this size on are put on a grid, if that leaves many out
+_TINY = np.float32(0.01)  # of a term: sim.flocking.reynolds.TINY
+
+
+@compiled
+def _fear(x, y, others, chosen, count, nearest):
+    """Return the sum of offsets over squared distance from the chosen of the others (K, 2) m."""
+    sum_x, sum_y = _ZERO, _ZERO
+    for m in range(count):
+        k = chosen[m]
+        dx, dy = x - others[k, 0], y - others[k, 1]
+        inverse = _ONE / max(dx * dx + dy * dy, nearest * nearest)
+        sum_x += dx * inverse
+        sum_y += dy * inverse
+    return sum_x, sum_y
+
+
+@compiled
+def _flockmates(x, y, sheep, heading, chosen, count, nearest):
+    """Return the sums over the chosen sheep of offsets to them, of headings, and _fear()."""
+    sum_x, sum_y, turn_x, turn_y, away_x, away_y = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+    for m in range(count):
+        j = chosen[m]
+        dx, dy = x - sheep[j, 0], y - sheep[j, 1]
+        inverse = _ONE / max(dx * dx + dy * dy, nearest * nearest)
+        sum_x -= dx
+        sum_y -= dy
+        turn_x += heading[j, 0]
+        turn_y += heading[j, 1]
+        away_x += dx * inverse
+        away_y += dy * inverse
+    return sum_x, sum_y, turn_x, turn_y, away_x, away_y
+
+
+@compiled
+def _direction(x, y):
+    """Return a term made one long; a tiny one stays short."""
+    size = max(length(x, y), _TINY)
+    return x / size, y / size
+
+
+@compiled
+def _reynolds(
+    sheep, heading, mask, shepherds, shepherd_mask, directions, view, w_s, w_v, w_c, w_f, limit,
+    nearest, speed, dt, new_sheep, new_heading,
+):  # fmt: skip
+    n = sheep.shape[1]
+    xs, ys, squared = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
+    chosen, some, who = np.empty(n, np.int64), np.empty(n, np.int64), np.arange(n)
+    noticed = np.empty(shepherds.shape[1], np.int64)
+    for b in range(sheep.shape[0]):
+        for j in range(n):
+            xs[j], ys[j] = sheep[b, j, 0], sheep[b, j, 1]
+        grid = build(sheep[b], mask[b]) if n >= _LARGE else nothing()
+        large = leaves_out(view, grid)
+        for i in range(n):
+            x, y = xs[i], ys[i]
+            if large:
+                found = within(i, view, grid, some)
+                squares_of(i, xs, ys, some, found, squared)
+                count = below(view * view, found, squared, some, chosen)
+            else:
+                squares(i, xs, ys, mask[b], squared)
+                count = below(view * view, n, squared, who, chosen)
+            u, v = heading[b, i, 0] * speed, heading[b, i, 1] * speed
+            force_x, force_y = _ZERO, _ZERO
+            if count > 0:
+                others = np.float32(count)
+                sum_x, sum_y, turn_x, turn_y, apart_x, apart_y = _flockmates(
+                    x, y, sheep[b], heading[b], chosen, count, nearest
+                )
+                to_x, to_y = sum_x / others, sum_y / others
+                along_x, along_y = turn_x / others * speed - u, turn_y / others * speed - v
+                if directions:
+                    apart_x, apart_y = _direction(apart_x, apart_y)
+                    to_x, to_y = _direction(to_x, to_y)
+                    mean_x, mean_y = _direction(turn_x / others, turn_y / others)
+                    own_x, own_y = _direction(heading[b, i, 0], heading[b, i, 1])
+                    along_x, along_y = mean_x - own_x, mean_y - own_y
+                force_x = w_s * apart_x + w_v * along_x + w_c * to_x
+                force_y = w_s * apart_y + w_v * along_y + w_c * to_y
+            met = in_reach(x, y, shepherds[b], shepherd_mask[b], view, noticed)
+            away_x, away_y = _fear(x, y, shepherds[b], noticed, met, nearest)
+            if directions:
+                away_x, away_y = _direction(away_x, away_y)
+            force_x, force_y = force_x + w_f * away_x, force_y + w_f * away_y
+            size = length(force_x, force_y)
+            if size > limit:
+                scale = limit / max(size, _EPSILON)
+                force_x, force_y = force_x * scale, force_y * scale
+            way_x, way_y = unit(u + force_x * dt, v + force_y * dt)
+            if way_x == 0 and way_y == 0:
+                way_x, way_y = heading[b, i, 0], heading[b, i, 1]
+            new_heading[b, i, 0], new_heading[b, i, 1] = way_x, way_y
+            new_sheep[b, i, 0] = x + speed * dt * way_x
+            new_sheep[b, i, 1] = y + speed * dt * way_y
+
+
+def reynolds_step(state: WorldState, config: Any, dt: float) -> tuple[Tensor, Tensor]:
+    """Return what sim.flocking.reynolds.step() does."""
+    sheep = flat(state.sheep, 2)
+    new_sheep, new_heading = np.empty_like(sheep), np.empty_like(sheep)
+    weights = (
+        config.view_range,
+        config.separation,
+        config.alignment,
+        config.cohesion,
+        config.fear,
+        config.max_acceleration,
+        config.min_distance,
+        config.speed,
+        dt,
+    )
+    _reynolds(
+        sheep,
+        flat(state.heading, 2),
+        flat(state.sheep_mask, 1),
+        flat(state.shepherds, 2),
+        flat(state.shepherd_mask, 1),
+        config.terms == 'unit',
+        *(np.float32(weight) for weight in weights),
+        new_sheep,
+        new_heading,
+    )
+    shape = state.sheep.shape
+    return torch.from_numpy(new_sheep).reshape(shape), torch.from_numpy(new_heading).reshape(shape)

@@ -1,0 +1,185 @@
+"""The step of the Strömbom flock, compiled for the CPU."""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from shepherd_ros.sim.compiled import compiled, flat
+from shepherd_ros.sim.neighbor_grid import around, build, leaves_out, nothing, within
+from shepherd_ros.sim.neighbors_compiled import (
+    below,
+    bound_of,
+    break_tie,
+    in_reach,
+    squares,
+    squares_of,
+)
+from shepherd_ros.sim.noise_compiled import direction_at, key_of, uniform_at
+from shepherd_ros.sim.rng import Stream
+from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.vectors import EPSILON
+from shepherd_ros.sim.vectors_compiled import length, unit
+import torch
+from torch import Tensor
+
+_TURN, _GRAZE = int(Stream.TURN), int(Stream.GRAZE)
+_EPSILON = np.float32(EPSILON)
+_ZERO, _ONE = np.float32(0), np.float32(1)
+_LARGE = 850  # flocks from this size on are put on a grid, if that leaves many out
+
+
+@compiled
+def _push(x, y, others, chosen, count):
+    """Return the sum of unit offsets from the chosen of the others (K, 2) m."""
+    push_x, push_y = _ZERO, _ZERO
+    for k in range(count):
+        j = chosen[k]
+        dx, dy = x - others[j, 0], y - others[j, 1]
+        squared = dx * dx + dy * dy
+        if squared > _EPSILON * _EPSILON:
+            inverse = _ONE / np.float32(math.sqrt(squared))
+            push_x += dx * inverse
+            push_y += dy * inverse
+    return push_x, push_y
+
+
+@compiled
+def _sum_within(bound, count, squared, xs, ys, part_x, part_y):
+    """
+    Return the sum of those of the first count of xs, ys (N,) whose squared distance is below it.
+
+    The others are made zero first, many at once; then all are added one after another, so that
+    the sum is the same on every processor.
+    """
+    for k in range(count):
+        near = squared[k] < bound
+        part_x[k], part_y[k] = xs[k] if near else _ZERO, ys[k] if near else _ZERO
+    sum_x, sum_y = _ZERO, _ZERO
+    for k in range(count):
+        sum_x += part_x[k]
+        sum_y += part_y[k]
+    return sum_x, sum_y
+
+
+@compiled
+def _strombom(
+    seed, step, sheep, heading, mask, shepherds, shepherd_mask, n_neighbors, shepherd_range,
+    sheep_range, rho_a, c, rho_s, h, e, p, stride, normalize, metric, new_sheep, new_heading,
+):  # fmt: skip
+    n = sheep.shape[1]
+    xs, ys = np.empty(n, np.float32), np.empty(n, np.float32)
+    near_x, near_y = np.empty(n, np.float32), np.empty(n, np.float32)
+    squared, values = np.empty(n, np.float32), np.empty(n, np.float32)
+    who_x, who_y = np.empty(n, np.float32), np.empty(n, np.float32)
+    chosen, who = np.empty(n, np.int64), np.empty(n, np.int64)
+    noticed, reach = np.empty(shepherds.shape[1], np.int64), sheep_range * sheep_range
+    part_x, part_y = np.empty(n, np.float32), np.empty(n, np.float32)
+    for b in range(sheep.shape[0]):
+        turn, graze = key_of(seed[b], step[b], _TURN), key_of(seed[b], step[b], _GRAZE)
+        others = -1
+        sum_x, sum_y = _ZERO, _ZERO
+        for j in range(n):
+            xs[j], ys[j] = sheep[b, j, 0], sheep[b, j, 1]
+            # relative to one sheep: means of far places would be rounded by more than sheep differ
+            near_x[j], near_y[j] = xs[j] - xs[0], ys[j] - ys[0]
+            who[j], who_x[j], who_y[j] = j, near_x[j], near_y[j]  # unless there is a grid
+            if mask[b, j]:
+                others += 1
+                sum_x += near_x[j]
+                sum_y += near_y[j]
+        count, found, beyond = min(others, n_neighbors), n, _ONE
+        grid = build(sheep[b], mask[b]) if n >= _LARGE else nothing()
+        large = leaves_out(sheep_range, grid)
+        here, team_here = mask[b], shepherd_mask[b]
+        for i in range(n):
+            x, y = xs[i], ys[i]
+            random_x, random_y = direction_at(turn, i)
+            way_x, way_y = heading[b, i, 0], heading[b, i, 1]
+            met = in_reach(x, y, shepherds[b], team_here, shepherd_range, noticed)
+            moving = True
+            if met > 0:
+                away_x, away_y = _push(x, y, shepherds[b], noticed, met)
+                if large:
+                    found = within(i, sheep_range, grid, who)
+                    squares_of(i, xs, ys, who, found, squared)
+                else:
+                    squares(i, xs, ys, here, squared)
+                met = below(reach, found, squared, who, chosen)
+                apart_x, apart_y = _push(x, y, sheep[b], chosen, met)
+                to_x, to_y = _ZERO, _ZERO
+                if 0 < count == others:
+                    to_x, to_y = sum_x - near_x[i], sum_y - near_y[i]
+                elif count > 0:
+                    # the farthest of them are about as far beyond the middle for all sheep
+                    off_x = near_x[i] - sum_x / np.float32(others + 1)
+                    off_y = near_y[i] - sum_y / np.float32(others + 1)
+                    off = length(off_x, off_y)
+                    guess = (off + beyond) * (off + beyond)
+                    if large:
+                        found = around(i, xs, ys, count, grid, who, squared)
+                        for k in range(found):
+                            who_x[k], who_y[k] = near_x[who[k]], near_y[who[k]]
+                    bound = bound_of(count, found, squared, guess, values)
+                    break_tie(count, found, squared, bound, who)
+                    to_x, to_y = _sum_within(bound, found, squared, who_x, who_y, part_x, part_y)
+                    beyond = np.float32(math.sqrt(bound)) - off
+                if count > 0:
+                    to_x = to_x / np.float32(count) - near_x[i]
+                    to_y = to_y / np.float32(count) - near_y[i]
+                if not metric:
+                    to_x, to_y = unit(to_x, to_y)
+                apart_x, apart_y = unit(apart_x, apart_y)
+                if normalize:
+                    away_x, away_y = unit(away_x, away_y)
+                new_x, new_y = unit(
+                    h * way_x + c * to_x + rho_a * apart_x + rho_s * away_x + e * random_x,
+                    h * way_y + c * to_y + rho_a * apart_y + rho_s * away_y + e * random_y,
+                )
+                if new_x != 0 or new_y != 0:
+                    way_x, way_y = new_x, new_y
+            elif uniform_at(graze, i) < p:
+                way_x, way_y = random_x, random_y
+            else:
+                moving = False
+            new_heading[b, i, 0], new_heading[b, i, 1] = way_x, way_y
+            new_sheep[b, i, 0], new_sheep[b, i, 1] = x, y
+            if moving:
+                new_sheep[b, i, 0] = x + stride * way_x
+                new_sheep[b, i, 1] = y + stride * way_y
+
+
+def strombom_step(state: WorldState, config: Any, dt: float) -> tuple[Tensor, Tensor]:
+    """Return what sim.flocking.strombom.step() does."""
+    sheep = flat(state.sheep, 2)
+    new_sheep, new_heading = np.empty_like(sheep), np.empty_like(sheep)
+    weights = (
+        config.shepherd_range,
+        config.sheep_range,
+        config.sheep_repulsion,
+        config.cohesion,
+        config.shepherd_repulsion,
+        config.inertia,
+        config.noise,
+        config.graze_probability,
+        config.speed * dt,
+    )
+    _strombom(
+        flat(state.seed, 0),
+        flat(state.step, 0),
+        sheep,
+        flat(state.heading, 2),
+        flat(state.sheep_mask, 1),
+        flat(state.shepherds, 2),
+        flat(state.shepherd_mask, 1),
+        config.n_neighbors,
+        *(np.float32(weight) for weight in weights),
+        config.normalize_shepherds,
+        config.metric_attraction,
+        new_sheep,
+        new_heading,
+    )
+    shape = state.sheep.shape
+    return torch.from_numpy(new_sheep).reshape(shape), torch.from_numpy(new_heading).reshape(shape)

@@ -1,0 +1,1 @@
+"""The wire: topics, the episode description, encoding and decoding of messages."""

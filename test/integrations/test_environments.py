@@ -1,0 +1,93 @@
+"""The environment for Gymnasium and PettingZoo: their checkers, and the same worlds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
+import numpy as np
+from pettingzoo.test import parallel_api_test, parallel_seed_test
+import pytest
+from shepherd_ros.config import ConfigError
+from shepherd_ros.integrations.environments import HerdingParallelEnv, HerdingVectorEnv
+from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.observation import first_ray, network_input, ObservationConfig, turned
+from shepherd_ros.sim.presets import training_world
+from shepherd_ros.sim.world import WorldConfig
+import torch
+
+WORLD = WorldConfig(n_sheep=8, n_shepherds=2, episode_steps=7, shepherd_speed=0.8)
+CONFIG = EnvConfig(world=WORLD, observation=ObservationConfig(align='goal', unit=10.0))
+
+
+def test_pettingzoo_is_content() -> None:
+    parallel_api_test(HerdingParallelEnv(CONFIG), num_cycles=30)
+    parallel_seed_test(lambda: HerdingParallelEnv(CONFIG), num_cycles=10)
+
+
+@pytest.mark.parametrize('observation', [ObservationConfig(), CONFIG.observation])
+def test_vector_environments_are_those_of_the_core(observation: ObservationConfig) -> None:
+    config = replace(CONFIG, observation=observation)
+    env, core = HerdingVectorEnv(config, 3), ShepherdEnv(config, 3)
+    seen, _ = env.reset(seed=4)
+    stack, _ = core.reset(4)
+    draw = np.random.default_rng(0)
+    for step in range(1, 17):
+        assert stack is not None
+        expected = network_input(stack, observation, 75.0).flatten(0, 1)
+        assert np.array_equal(seen, expected)
+        assert env.observation_space.contains(seen)
+        action = draw.uniform(-1, 1, (6, 2)).astype(np.float32)
+        way = torch.from_numpy(action).unflatten(0, (3, 2)) * 0.8
+        command = turned(way, first_ray(stack[..., -1, :, :], observation), 512)
+        seen, reward, terminated, truncated, info = env.step(action)
+        stack, gained, _, _, told = core.step(command)
+        assert np.array_equal(reward, gained.repeat_interleave(2))
+        assert not terminated.any()
+        assert truncated.all() == truncated.any() == (step % 7 == 0)
+        if truncated.any():
+            final = network_input(told['final_observation'], observation, 75.0).flatten(0, 1)
+            assert np.array_equal(info['final_obs'], final)
+            assert info['_final_obs'].all()
+            reached = told['final_metrics']['fraction_reached'].repeat_interleave(2)
+            assert np.array_equal(info['final_info']['fraction_reached'], reached)
+
+
+def test_wrappers_of_gymnasium_work() -> None:
+    env = RecordEpisodeStatistics(HerdingVectorEnv(CONFIG, 2))
+    assert env.metadata['autoreset_mode'] == AutoresetMode.SAME_STEP
+    env.reset(seed=0)
+    total = np.zeros(4)
+    for _ in range(7):
+        _, reward, _, _, info = env.step(env.action_space.sample())
+        total += reward
+    assert info['episode']['l'].tolist() == [7] * 4
+    np.testing.assert_allclose(info['episode']['r'], total, rtol=1e-5)
+
+
+def test_a_parallel_environment_is_one_world_of_the_vector_environment() -> None:
+    one, many = HerdingParallelEnv(CONFIG), HerdingVectorEnv(CONFIG, 1)
+    seen, _ = one.reset(seed=9)
+    expected, _ = many.reset(seed=9)
+    for _ in range(7):
+        assert np.array_equal(np.stack(list(seen.values())), expected)
+        action = many.action_space.sample()
+        seen, reward, _, truncated, info = one.step(dict(zip(one.agents, action, strict=True)))
+        expected, gained, _, _, told = many.step(action)
+        assert list(reward.values()) == gained.tolist()
+    assert all(truncated.values())
+    assert one.agents == []
+    assert np.array_equal(np.stack(list(seen.values())), told['final_obs'])
+    assert info['shepherd_0']['fraction_reached'] == told['final_info']['fraction_reached'][0]
+
+
+def test_what_cannot_be_is_refused() -> None:
+    with pytest.raises(ConfigError, match='fewest_shepherds is 1: expected 0'):
+        HerdingVectorEnv(EnvConfig(world=training_world(WORLD)))
+    with pytest.raises(ConfigError, match='expected one number'):
+        HerdingVectorEnv(CONFIG, 1).reset(seed=[1])
+    env = HerdingParallelEnv(CONFIG)
+    env.reset(seed=0)
+    with pytest.raises(ConfigError, match=r"actions lack \['shepherd_1'\]"):
+        env.step({'shepherd_0': np.zeros(2, np.float32)})

@@ -1,0 +1,110 @@
+"""The worlds for Stable-Baselines3: the same as for Gymnasium, and the script that trains."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import runpy
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from shepherd_ros.config import ConfigError
+from shepherd_ros.integrations.environments import HerdingVectorEnv
+from shepherd_ros.integrations.sb3 import evaluate, HerdingVecEnv, LidarFeatures
+from shepherd_ros.sim.env import EnvConfig
+from shepherd_ros.sim.lidar import LidarConfig
+from shepherd_ros.sim.observation import ObservationConfig
+from shepherd_ros.sim.world import WorldConfig
+from stable_baselines3 import PPO
+
+SCRIPT = Path(__file__).resolve().parents[1] / 'scripts' / 'train_sb3.py'
+CONFIG = EnvConfig(
+    world=WorldConfig(n_sheep=8, n_shepherds=2, episode_steps=6),
+    lidar=LidarConfig(n_rays=64),
+    observation=ObservationConfig(layout='ring', align='goal', unit=10.0),
+)
+
+
+@pytest.mark.parametrize('hold', [1, 3])
+def test_worlds_are_those_of_gymnasium_with_actions_held(hold: int) -> None:
+    env, core = HerdingVecEnv(CONFIG, 3, hold), HerdingVectorEnv(CONFIG, 3)
+    env.seed(4)
+    assert np.array_equal(env.reset(), core.reset(seed=4)[0])
+    assert env.num_envs == 6
+    draw = np.random.default_rng(0)
+    for step in range(1, 12 // hold + 1):
+        action = draw.uniform(-1, 1, (6, 2)).astype(np.float32)
+        seen, reward, done, infos = env.step(action)
+        gains = []
+        for _ in range(hold):
+            expected, gain, _, ended, told = core.step(action)
+            gains.append(gain)
+        assert np.array_equal(seen, expected)
+        np.testing.assert_allclose(reward, sum(gains), rtol=1e-6)
+        assert done.tolist() == ended.tolist() == [step * hold % 6 == 0] * 6
+        for i, info in enumerate(infos):
+            assert info['TimeLimit.truncated'] == done[i]  # so that PPO bootstraps the value
+            assert ('terminal_observation' in info) == done[i]
+            if done[i]:
+                assert np.array_equal(info['terminal_observation'], told['final_obs'][i])
+                reached = told['final_info']['fraction_reached'][i]
+                assert info['metrics']['fraction_reached'] == reached
+
+
+def test_what_cannot_be_is_refused() -> None:
+    with pytest.raises(ConfigError, match='hold is 4: expected a divisor of episode_steps, 6'):
+        HerdingVecEnv(CONFIG, 1, 4)
+    env = HerdingVecEnv(CONFIG, 1)
+    assert env.get_attr('team') == [2, 2]
+    assert env.env_is_wrapped(object) == [False, False]  # type: ignore[arg-type]
+    with pytest.raises(AttributeError, match='single shepherds'):
+        env.set_attr('team', 3)
+    with pytest.raises(AttributeError, match='single shepherds'):
+        env.env_method('reset')
+
+
+def test_an_evaluation_is_a_function_of_the_seed_and_of_the_model() -> None:
+    kind = {'features_extractor_class': LidarFeatures}
+    model = PPO('MlpPolicy', HerdingVecEnv(CONFIG, 2, 2), policy_kwargs=kind, seed=0, device='cpu')
+    first = evaluate(model, CONFIG, 4, 2, seed=7)
+    assert evaluate(model, CONFIG, 4, 2, seed=7) == first
+    assert evaluate(model, CONFIG, 4, 2, seed=8) != first
+    core, total = HerdingVectorEnv(CONFIG, 4), np.zeros(8)
+    seen, _ = core.reset(seed=7)
+    for step in range(6):
+        if step % 2 == 0:
+            action, _ = model.predict(seen, deterministic=True)
+        seen, reward, _, _, info = core.step(action)
+        total += reward
+    assert first['return'] == pytest.approx(total.mean(), rel=1e-6)
+    assert first['completion_time'] == pytest.approx(info['final_info']['completion_time'].mean())
+
+
+def test_the_script_trains_and_saves_a_model(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / 'model.zip'
+    options = {'out': out, 'samples': 400, 'shepherds': 2, 'steps': 40, 'worlds': 40, 'rays': 64}
+    words = [f'--{name}={value}' for name, value in options.items()]
+    monkeypatch.setattr(sys, 'argv', [str(SCRIPT), *words])
+    runpy.run_path(str(SCRIPT), run_name='__main__')
+    said = capsys.readouterr().out
+    assert 'before: {' in said
+    assert 'after:  {' in said
+    model = PPO.load(out, device='cpu')
+    assert model.num_timesteps == 400
+    action, _ = model.predict(np.zeros((5, 9, 64), np.float32), deterministic=True)
+    assert action.shape == (5, 2)
+
+
+def test_the_script_says_how_to_install_what_is_missing() -> None:
+    code = f"""
+import runpy, sys
+sys.modules['stable_baselines3'] = None
+runpy.run_path({str(SCRIPT)!r}, run_name='__main__')
+"""
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "pip install -c constraints.txt '.[sb3]'" in done.stderr
+    assert 'Traceback' not in done.stderr

@@ -1,0 +1,123 @@
+"""Processes that train together take the steps that one with all their worlds would take."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+from shepherd_ros.learning.distributed import rank, ranks
+from shepherd_ros.learning.ppo import Learner, PPOConfig
+from shepherd_ros.learning.rollout import Batch
+from shepherd_ros.policy.network import NetworkConfig
+from shepherd_ros.policy.policy import Policy, PolicyConfig
+from shepherd_ros.sim.lidar import LidarConfig
+from shepherd_ros.sim.observation import input_shape, ObservationConfig
+import torch
+from torch import Tensor
+
+COUNT, FIRST = 60, 44  # decisions, and how many of them the first of two processes has
+NETWORK = PolicyConfig(
+    lidar=LidarConfig(n_rays=64),
+    observation=ObservationConfig(spacing=4),
+    network=NetworkConfig(filters_1=2, filters_2=2, hidden=8),
+)
+TINY = (
+    '--policy.lidar.n-rays 64 --policy.network.filters-1 2 --policy.network.filters-2 2 '
+    '--policy.network.hidden 4 --groups 2 --worlds 2 --decisions 4 --minibatch 16 '
+    '--samples 400 --judge-every 3 --judge-episodes 2 --judge-steps 6 --sheep-min 3 '
+    '--sheep-max 5 --shepherds-max 2 --episode-steps 48'
+)
+
+
+class Inputs:
+    """Stands for the store of a rollout: the inputs of decisions by their number."""
+
+    def __init__(self, x: Tensor) -> None:
+        self.x = x
+
+    def inputs(self, rows: Tensor, first: Tensor) -> Tensor:
+        return self.x[rows[:, 0]]
+
+
+def updated() -> dict[str, Tensor]:
+    """Return the weights after an update from this process's part of a fixed batch."""
+    torch.manual_seed(0)
+    policy = Policy(NETWORK)
+    x = torch.rand(COUNT, *input_shape(NETWORK.observation, 64))
+    with torch.no_grad():
+        mean, std = policy.actor(x)
+    action = mean + std * torch.randn(COUNT, 2)
+    density = (-0.5 * ((action - mean) / std).square() - std.log()).sum(dim=-1)
+    value, gain = torch.randn(COUNT), torch.randn(COUNT) + 0.5
+    mine = torch.arange(COUNT)
+    if ranks() == 2:
+        mine = mine[:FIRST] if rank() == 0 else mine[FIRST:]
+    batch = Batch(
+        mine[:, None], torch.zeros_like(mine), action[mine], density[mine], value[mine], gain[mine]
+    )
+    config = PPOConfig(epochs=3, minibatch=1000, actor_rate=1e-2, critic_rate=1e-2, target_kl=9.0)
+    learner = Learner(policy, config)
+    before = {k: v.clone() for k, v in policy.state_dict().items()}
+    store: Any = Inputs(x)
+    learner.update(store, batch, torch.Generator().manual_seed(3))
+    after = policy.state_dict()
+    assert max(float((after[k] - before[k]).abs().max()) for k in after) > 0.01
+    return dict(after)
+
+
+def torchrun(*words: object) -> subprocess.CompletedProcess[str]:
+    launch = [Path(sys.executable).parent / 'torchrun', '--standalone', '--nproc-per-node', '2']
+    command = [str(word) for word in (*launch, *words)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_an_update_of_two_is_that_of_one_with_all_decisions(tmp_path: Path) -> None:
+    done = torchrun(__file__, tmp_path)
+    assert done.returncode == 0, done.stderr
+    one = updated()
+    for index in (0, 1):
+        two = torch.load(tmp_path / f'{index}.pt', weights_only=True)
+        for name, value in one.items():
+            # of steps that are a hundred times as long
+            torch.testing.assert_close(two[name], value, atol=1e-4, rtol=0, msg=name)
+
+
+@pytest.fixture(scope='module')
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp('ranks') / 'run'
+    shepherd = Path(sys.executable).parent / 'shepherd'
+    done = torchrun('--no-python', shepherd, 'train', 'ppo', *TINY.split(), '--out', out)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count('the best policy is in') == 1
+    return out
+
+
+def test_two_have_the_same_weights_and_worlds_of_their_own(trained: Path) -> None:
+    states = [torch.load(trained / name, weights_only=True) for name in ('state.pt', 'state_1.pt')]
+    one, other = (state['learner']['policy'] for state in states)
+    assert all(torch.equal(one[name], other[name]) for name in one)
+    seeds = [{int(s) for g in k['rollout']['groups'] for s in g['state']['seed']} for k in states]
+    assert seeds[0].isdisjoint(seeds[1])
+    curve = [json.loads(line) for line in (trained / 'curve.jsonl').read_text().splitlines()]
+    # 2 processes, 2 groups, 2 worlds, 4 decisions, of steps that are held as long as told
+    assert [c['world_steps'] for c in curve[:2]] == [32 * 8, 64 * 8]
+    assert curve[-1]['samples'] >= 400
+
+
+def test_states_of_another_number_of_processes_are_refused(trained: Path) -> None:
+    kept = (trained / 'state_1.pt').read_bytes()
+    (trained / 'state_1.pt').unlink()
+    shepherd = Path(sys.executable).parent / 'shepherd'
+    done = torchrun('--no-python', shepherd, 'train', 'ppo', *TINY.split(), '--out', trained)
+    (trained / 'state_1.pt').write_bytes(kept)
+    assert done.returncode != 0
+    assert 'holds states of different updates' in done.stderr
+    assert 'remove state*.pt to start anew' in done.stderr
+
+
+if __name__ == '__main__':
+    torch.save(updated(), Path(sys.argv[1]) / f'{rank()}.pt')

@@ -1,0 +1,213 @@
+"""The words of rosbag2, written down by hand from its sources (branch jazzy)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hypothesis import given as for_all
+from hypothesis import settings
+from hypothesis import strategies as st
+import pytest
+from shepherd_ros.rosbag2.errors import BagError
+from shepherd_ros.rosbag2.metadata import FileInfo, Metadata, TopicInfo
+from shepherd_ros.rosbag2.qos import Qos, qos_yaml, read_qos
+from shepherd_ros.rosbag2.yaml_text import dump_yaml
+from shepherd_ros.wire.topics import contract
+import yaml
+
+HASH = 'RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18'
+QOS = """\
+- history: keep_last
+  depth: 1
+  reliability: reliable
+  durability: transient_local
+  deadline:
+    sec: 9223372036
+    nsec: 854775807
+  lifespan:
+    sec: 9223372036
+    nsec: 854775807
+  liveliness: automatic
+  liveliness_lease_duration:
+    sec: 9223372036
+    nsec: 854775807
+  avoid_ros_namespace_conventions: false
+"""
+DOCUMENT = f"""\
+rosbag2_bagfile_information:
+  version: 9
+  storage_identifier: mcap
+  duration:
+    nanoseconds: 30
+  starting_time:
+    nanoseconds_since_epoch: 100
+  message_count: 3
+  topics_with_message_count:
+    - topic_metadata:
+        name: /episode
+        type: std_msgs/msg/String
+        serialization_format: cdr
+        offered_qos_profiles:
+{''.join('          ' + line for line in QOS.splitlines(keepends=True))}\
+        type_description_hash: {HASH}
+      message_count: 3
+  compression_format: ""
+  compression_mode: ""
+  relative_file_paths:
+    - bag_0.mcap
+    - bag_1.mcap
+  files:
+    - path: bag_0.mcap
+      starting_time:
+        nanoseconds_since_epoch: 100
+      duration:
+        nanoseconds: 10
+      message_count: 2
+    - path: bag_1.mcap
+      starting_time:
+        nanoseconds_since_epoch: 130
+      duration:
+        nanoseconds: 0
+      message_count: 1
+  custom_data:
+    key: "9"
+  ros_distro: jazzy
+"""
+VERSION_4 = """\
+rosbag2_bagfile_information:
+  version: 4
+  storage_identifier: sqlite3
+  relative_file_paths: [rosbag2_0.db3]
+  duration: {nanoseconds: 5}
+  starting_time: {nanoseconds_since_epoch: 7}
+  message_count: 2
+  topics_with_message_count:
+  - topic_metadata:
+      name: /t
+      type: std_msgs/msg/String
+      serialization_format: cdr
+      offered_qos_profiles: "- history: 3\\n  depth: 0\\n  reliability: 2\\n  durability: 1\\n\
+  deadline:\\n    sec: 2147483647\\n    nsec: 4294967295\\n\
+  lifespan:\\n    sec: 1\\n    nsec: 2\\n  liveliness: 1\\n\
+  liveliness_lease_duration:\\n    sec: 3\\n    nsec: 4\\n\
+  avoid_ros_namespace_conventions: true"
+    message_count: 2
+  compression_format: ""
+  compression_mode: ""
+"""
+LATCHED = Qos('reliable', 'transient_local', 'keep_last', 1)
+TWO_FILES = Metadata(
+    topics=(TopicInfo('/episode', 'std_msgs/msg/String', 3, (LATCHED,), HASH),),
+    files=(FileInfo('bag_0.mcap', 100, 10, 2), FileInfo('bag_1.mcap', 130, 0, 1)),
+    custom_data={'key': '9'},
+)
+
+
+def test_metadata_is_word_for_word_that_of_rosbag2() -> None:
+    assert TWO_FILES.document() == DOCUMENT
+
+
+def test_the_record_in_the_file_is_the_inner_map() -> None:
+    inner = yaml.safe_load(DOCUMENT)['rosbag2_bagfile_information']
+    assert yaml.safe_load(TWO_FILES.to_yaml()) == inner
+
+
+@pytest.mark.parametrize('text', [TWO_FILES.document(), TWO_FILES.to_yaml()])
+def test_metadata_comes_back(text: str) -> None:
+    assert Metadata.from_yaml(text, Path('bag')) == TWO_FILES
+
+
+def test_an_empty_bag_starts_at_the_end_of_time_and_has_no_data_of_its_own() -> None:
+    text = Metadata(files=(FileInfo('bag_0.mcap'),)).to_yaml()
+    assert 'starting_time:\n  nanoseconds_since_epoch: 9223372036854775807\n' in text
+    assert 'duration:\n  nanoseconds: 0\n' in text
+    assert 'custom_data: ~\n' in text
+    assert 'topics_with_message_count: []\n' in text
+
+
+def test_profiles_of_a_channel_are_a_list_as_text() -> None:
+    assert qos_yaml((LATCHED,)) == QOS
+    assert qos_yaml(()) == '[]\n'
+    assert read_qos(QOS, Path('bag')) == (LATCHED,)
+
+
+def test_what_discovery_does_not_tell_is_unknown() -> None:
+    assert qos_yaml((Qos(),)).startswith('- history: unknown\n  depth: 0\n')
+
+
+def test_profiles_of_the_contract_have_words_of_rosbag2() -> None:
+    for profile in contract()[1].values():
+        qos = Qos.of_profile(profile)
+        assert (qos.history, qos.depth) == ('keep_last', profile.depth)
+        assert (qos.reliability, qos.durability) == (profile.reliability, profile.durability)
+
+
+def test_a_word_that_rosbag2_does_not_know_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"reliability is 'RELIABLE': expected one of system_def"):
+        Qos('RELIABLE')
+
+
+def test_older_versions_have_numbers_in_a_text() -> None:
+    metadata = Metadata.from_yaml(VERSION_4, Path('bag'))
+    (qos,) = metadata.topics[0].qos
+    assert (qos.history, qos.reliability, qos.durability) == (
+        'unknown', 'best_effort', 'transient_local',
+    )  # fmt: skip
+    assert (qos.lifespan, qos.liveliness_lease_duration) == ((1, 2), (3, 4))
+    assert qos.avoid_ros_namespace_conventions
+    assert (metadata.version, metadata.storage, metadata.distro) == (4, 'sqlite3', '')
+    assert metadata.files == (FileInfo('rosbag2_0.db3', 7),)
+
+
+def test_no_anchors_in_yaml_even_for_equal_parts() -> None:
+    assert '&' not in qos_yaml((LATCHED, LATCHED))
+
+
+TEXT = st.text() | st.text('-:#[]{},&*!|>%@`?~ \n\t"\\0123456789.eE_xyno')
+PLAIN = st.recursive(
+    TEXT | st.integers() | st.booleans() | st.none(),
+    lambda inner: st.lists(inner) | st.dictionaries(TEXT, inner),
+    max_leaves=8,
+)
+
+
+@settings(max_examples=150, deadline=None)
+@for_all(PLAIN)
+def test_yaml_says_the_same_to_others(data: object) -> None:
+    assert yaml.safe_load(dump_yaml(data)) == data
+
+
+def test_text_that_yaml_would_take_for_something_else_stays_text() -> None:
+    data = {
+        'a': '9',
+        'b': 'yes',
+        'c': '~',
+        'd': 'x: y',
+        'e': '{"k": [1]}',
+        'f': 'Schäfer\n',
+        'g': '',
+    }
+    assert yaml.safe_load(dump_yaml(data)) == data
+    metadata = Metadata(files=(FileInfo('b_0.mcap'),), custom_data=data)
+    assert Metadata.from_yaml(metadata.document(), Path('bag')).custom_data == data
+
+
+@pytest.mark.parametrize(
+    ('text', 'what'),
+    [
+        ('{', 'no YAML'),
+        ('- 1', 'cannot be read'),
+        ('', 'cannot be read'),
+        ('a: 2024-99-99', 'no YAML'),
+        ('rosbag2_bagfile_information: 3', 'cannot be read'),
+        (DOCUMENT.replace('message_count: 3', 'message_count: three'), 'cannot be read'),
+        (DOCUMENT.replace('reliable', 'mostly'), 'quality of service'),
+        (DOCUMENT.replace('relative_file_paths', 'paths').replace('files:', 'f:'), 'cannot be'),
+        ('[' * 100_000, 'no YAML'),
+        ('- ' * 100_000, 'no YAML'),
+        ('a: &a [1]\nb: *a', 'no YAML'),
+    ],
+)
+def test_broken_metadata_is_refused_in_words(text: str, what: str) -> None:
+    with pytest.raises(BagError, match=what):
+        Metadata.from_yaml(text, Path('metadata.yaml'))

@@ -1,0 +1,215 @@
+"""Reading: whole bags, parts of them, bags of others, and broken ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import shutil
+import tracemalloc
+
+from mcap.writer import CompressionType, IndexType, Writer
+import pytest
+from rosbag2.tiny import cdr, LOG_START_NS, make, recording, Sent, STORE, tiny_bag, write
+from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.rosbag2.enums import StoragePlugin
+from shepherd_ros.rosbag2.errors import BagError
+from shepherd_ros.rosbag2.reader import open_bag
+from shepherd_ros.rosbag2.writer import BagWriter
+from shepherd_ros.wire.schemas import schema_text
+
+MESSAGES = recording()[0]
+SENT = [tuple(message) for message in MESSAGES]
+
+
+def rows(path: Path, **options: object) -> list[tuple[object, ...]]:
+    """Return the messages of a bag as they were sent."""
+    messages = open_bag(path).messages(**options)  # type: ignore[arg-type]
+    return [(m.topic, m.type, m.data, m.log_ns, m.publish_ns) for m in messages]
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a bag with many chunks in two files."""
+    return tiny_bag(tmp_path_factory.mktemp('r') / 'bag', chunk_size=2000, split_bytes=12_000)
+
+
+def test_topics_are_filtered(bag: Path) -> None:
+    for topics in (['/goal'], ['/episode', '/shepherd_1/cmd_vel'], [], ['/nothing']):
+        assert rows(bag, topics=topics) == [m for m in SENT if m[0] in topics]
+
+
+def test_times_are_filtered(bag: Path) -> None:
+    first, last = SENT[30][3], SENT[90][3]
+    assert rows(bag, start_ns=first) == SENT[30:]
+    assert rows(bag, end_ns=last) == SENT[:90]
+    assert rows(bag, start_ns=first, end_ns=last, topics=['/clock']) == [
+        m for m in SENT[30:90] if m[0] == '/clock'
+    ]
+    assert rows(bag, start_ns=last, end_ns=first) == []
+
+
+def test_without_metadata_yaml_the_files_are_found(bag: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(bag, tmp_path / 'copy')
+    (copy / 'metadata.yaml').unlink()
+    assert rows(copy) == SENT
+    assert open_bag(copy).custom_data == open_bag(bag).custom_data
+    assert open_bag(copy).noted_count is None
+
+
+def test_ten_files_come_after_nine(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'bag') as writer:
+        writer.add_topic('/n', 'std_msgs/msg/Float64')
+        for k in range(12):
+            writer.write('/n', cdr(make('Float64', data=float(k))), k, k)
+            if k < 11:
+                writer.split()
+    (tmp_path / 'bag' / 'metadata.yaml').unlink()
+    names = [storage.path.name for storage in open_bag(tmp_path / 'bag').storages]
+    assert names == [f'bag_{k}.mcap' for k in range(12)]
+
+
+def test_messages_come_in_the_order_of_their_log_times(tmp_path: Path) -> None:
+    shuffled = sorted(MESSAGES, key=lambda m: hash(m.data))
+    assert rows(write(tmp_path / 'bag', shuffled, chunk_size=3000)) == SENT
+
+
+def test_messages_of_one_time_keep_their_order(tmp_path: Path) -> None:
+    same = [m._replace(log_ns=LOG_START_NS) for m in MESSAGES]
+    assert rows(write(tmp_path / 'bag', same, chunk_size=3000)) == [tuple(m) for m in same]
+
+
+# ---- bags of others ----
+
+
+def mcap_of_others(path: Path, messages: list[Sent], **options: object) -> None:
+    """Write a file with the library of MCAP, which puts schemas into chunks."""
+    with path.open('wb') as stream:
+        writer = Writer(stream, **options)  # type: ignore[arg-type]
+        writer.start('ros2')
+        schemas: dict[str, int] = {}
+        channels: dict[str, int] = {}
+        for topic, kind, data, log_ns, publish_ns in messages:
+            if kind not in schemas:
+                text = schema_text(kind).encode()
+                schemas[kind] = writer.register_schema(kind, 'ros2msg', text)
+            if topic not in channels:
+                channels[topic] = writer.register_channel(topic, 'cdr', schemas[kind])
+            writer.add_message(channels[topic], log_ns, data, publish_ns)
+        writer.finish()
+
+
+@pytest.mark.parametrize(
+    'options',
+    [
+        {'compression': CompressionType.ZSTD, 'chunk_size': 4000},
+        {'compression': CompressionType.LZ4, 'chunk_size': 4000},
+        {'use_chunking': False},
+        {'index_types': IndexType.NONE, 'chunk_size': 4000},
+        {'index_types': IndexType.CHUNK, 'chunk_size': 4000},
+        {'repeat_channels': False, 'repeat_schemas': False},
+        {'use_statistics': False, 'use_summary_offsets': False},
+        {
+            'index_types': IndexType.NONE, 'repeat_channels': False, 'repeat_schemas': False,
+            'use_statistics': False, 'use_summary_offsets': False, 'enable_crcs': False,
+        },
+    ],
+    ids=str,
+)  # fmt: skip
+def test_files_of_the_mcap_library(tmp_path: Path, options: dict[str, object]) -> None:
+    path = tmp_path / 'theirs.mcap'
+    mcap_of_others(path, list(MESSAGES), **options)
+    assert rows(path) == SENT
+    bag = open_bag(path)
+    assert (bag.count, bag.start_ns, bag.end_ns) == (len(SENT), SENT[0][3], SENT[-1][3])
+    assert bag.topics['/clock'].count == 10
+    assert rows(path, topics=['/goal']) == [m for m in SENT if m[0] == '/goal']
+
+
+@pytest.mark.parametrize('version', [8, 9])
+def test_bags_of_rosbags(tmp_path: Path, version: int) -> None:
+    folder = tmp_path / 'theirs'
+    with RosbagsWriter(folder, version=version, storage_plugin=StoragePlugin.MCAP) as writer:  # type: ignore[arg-type]
+        connections = {}
+        for topic, kind, data, log_ns, _ in MESSAGES:
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=STORE)
+            writer.write(connections[topic], log_ns, data)
+    assert [row[:2] + row[2:4] for row in rows(folder)] == [m[:4] for m in SENT]
+
+
+# ---- what cannot be read ----
+
+
+def test_what_is_no_bag_is_refused_in_words(bag: Path, tmp_path: Path) -> None:
+    (tmp_path / 'empty.mcap').write_bytes(b'')
+    (tmp_path / 'text.mcap').write_text('a text that is long enough to be something')
+    (tmp_path / 'folder').mkdir()
+    (tmp_path / 'sub').mkdir()
+    for path, what in (
+        ('none', 'there is no such file or folder; check the path'),
+        ('none/deeper', 'there is no such file or folder'),
+        ('text.mcap/deeper', 'there is no such file or folder'),
+        ('x' * 300, 'it cannot be read .File name too long.'),
+        ('empty.mcap', 'it is empty; there is nothing to recover'),
+        ('text.mcap', 'it is no MCAP file; expected a bag'),
+        ('folder', 'it holds no .mcap file; expected the folder of a bag'),
+    ):
+        with pytest.raises(BagError, match=what):
+            open_bag(tmp_path / path)
+    file = next(bag.glob('*.mcap'))
+    data = file.read_bytes()
+    for size, what in ((8, 'it has no end'), (30, 'it has no end'), (len(data) - 1, 'no end')):
+        (tmp_path / 'cut.mcap').write_bytes(data[:size])
+        with pytest.raises(BagError, match=f'cut.mcap: .*{what}.*shepherd bag recover'):
+            open_bag(tmp_path / 'cut.mcap')
+
+
+def test_metadata_that_names_other_files_is_refused(bag: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(bag, tmp_path / 'copy')
+    note = copy / 'metadata.yaml'
+    text = note.read_text()
+    (copy / 'bag_1.mcap').rename(copy / 'other.mcap')
+    with pytest.raises(BagError, match=r'bag_1.mcap: it is not there, but metadata.yaml names it'):
+        open_bag(copy)
+    for old, new, what in (
+        ('bag_1.mcap', '../../nothing.mcap', r'copy/nothing.mcap: it is not there'),
+        ('storage_identifier: mcap', 'storage_identifier: sqlite3', "its storage is 'sqlite3'"),
+        ('compression_mode: ""', 'compression_mode: FILE', "its compression is by 'FILE'"),
+        ('version', '  version', 'its metadata is no YAML'),
+        ('message_count', 'count', 'its metadata cannot be read'),
+    ):
+        note.write_text(text.replace(old, new))
+        with pytest.raises(BagError, match=what):
+            open_bag(copy)
+    note.write_bytes(b'\xff\xfe\0')
+    with pytest.raises(BagError, match='it is no text; run `shepherd bag recover'):
+        open_bag(copy)
+
+
+def test_a_flipped_bit_in_a_chunk_is_found(bag: Path, tmp_path: Path) -> None:
+    data = bytearray((bag / 'bag_0.mcap').read_bytes())
+    place = data.index(b'shepherd_0\0')  # in a message
+    data[place] ^= 4
+    (tmp_path / 'bad.mcap').write_bytes(data)
+    with pytest.raises(BagError, match='a chunk whose checksum is wrong at byte'):
+        rows(tmp_path / 'bad.mcap')
+
+
+def test_a_flipped_bit_in_the_summary_is_found(bag: Path, tmp_path: Path) -> None:
+    data = bytearray((bag / 'bag_0.mcap').read_bytes())
+    data[-600] ^= 1
+    (tmp_path / 'bad.mcap').write_bytes(data)
+    with pytest.raises(BagError, match='a summary whose checksum is wrong'):
+        open_bag(tmp_path / 'bad.mcap')
+
+
+def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
+    text = cdr(make('String', data='x' * 20_000))
+    with BagWriter(tmp_path / 'bag', compression='zstd') as writer:
+        writer.add_topic('/t', 'std_msgs/msg/String')
+        for k in range(2000):  # 40 MB
+            writer.write('/t', text, k, k)
+    tracemalloc.start()
+    assert sum(1 for _ in open_bag(tmp_path / 'bag').messages()) == 2000
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 4e6

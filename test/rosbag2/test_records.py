@@ -1,0 +1,103 @@
+"""Sizes that a file claims are not believed."""
+
+from __future__ import annotations
+
+from io import BytesIO
+import tracemalloc
+import zlib
+
+from lz4 import frame as lz4
+import pytest
+from shepherd_ros.rosbag2.errors import DamageError
+from shepherd_ros.rosbag2.records import (
+    Chunk,
+    contents,
+    LARGEST,
+    MESSAGE,
+    Message,
+    parse,
+    parse_chunk,
+    PREFIX,
+    read_at,
+    record_at,
+    unpack,
+)
+import zstandard
+
+PACKERS = {'zstd': zstandard.compress, 'lz4': lz4.compress, '': bytes}
+
+
+def chunk(data: bytes, kind: str, size: int, crc: int = 0) -> Chunk:
+    """Return a chunk with data packed, which claims to have a size."""
+    return Chunk(0, 0, size, crc, kind, PACKERS[kind](data))
+
+
+@pytest.mark.parametrize('kind', PACKERS)
+def test_chunks_are_unpacked_and_checked(kind: str) -> None:
+    data = bytes(range(256)) * 9000  # more than is unpacked at once
+    assert unpack(chunk(data, kind, len(data), zlib.crc32(data)), 0) == data
+    with pytest.raises(DamageError, match='a chunk whose checksum is wrong at byte 7'):
+        unpack(chunk(data, kind, len(data), 1), 7)
+    for size in (len(data) - 1, len(data) + 1, 0):
+        with pytest.raises(DamageError, match=f'bytes: expected {size}'):
+            unpack(chunk(data, kind, size), 0)
+
+
+@pytest.mark.parametrize('kind', PACKERS)
+def test_a_chunk_that_claims_too_much_is_refused_at_once(kind: str) -> None:
+    for size in (LARGEST + 1, 2**40, 2**64 - 1):
+        with pytest.raises(DamageError, match=f'a chunk of {size} bytes: expected at most'):
+            unpack(chunk(b'x', kind, size), 0)
+
+
+@pytest.mark.parametrize('kind', ['zstd', 'lz4'])
+def test_a_chunk_that_unpacks_to_more_than_it_claims_takes_no_memory(kind: str) -> None:
+    bomb = chunk(bytes(64 << 20), kind, 1000)
+    assert len(bomb.data) < 1 << 20
+    tracemalloc.start()
+    with pytest.raises(DamageError, match='a chunk of 1001 bytes: expected 1000'):
+        unpack(bomb, 0)
+    assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize('kind', ['zstd', 'lz4', 'gzip', 'zst\x00'])
+def test_what_cannot_be_unpacked_is_refused(kind: str) -> None:
+    with pytest.raises(DamageError, match=r'cannot unpack|packed with'):
+        unpack(Chunk(0, 0, 10, 0, kind, b'nothing of the kind'), 0)
+
+
+def test_records_do_not_reach_beyond_the_file() -> None:
+    file = BytesIO(PREFIX.pack(5, 2**40) + bytes(100))
+    with pytest.raises(DamageError, match='a record of 1099511627776 bytes, where 109 are left'):
+        record_at(file, 0, 109)
+    with pytest.raises(DamageError, match=f'expected at most {LARGEST}'):
+        read_at(file, 0, LARGEST + 1)
+    with pytest.raises(DamageError, match='the file ends after 9 of 10 bytes'):
+        read_at(file, 100, 10)
+    for opcode in (0, 0x10, 0x7F):
+        with pytest.raises(DamageError, match=f'a record of unknown kind {opcode}'):
+            record_at(BytesIO(PREFIX.pack(opcode, 0)), 0, 9)
+
+
+@pytest.mark.parametrize('opcode', [3, 4, 8, 11, 12, 13])
+@pytest.mark.parametrize('body', [b'', bytes(3), b'\xff' * 40])
+def test_bodies_that_are_too_short_are_damaged(opcode: int, body: bytes) -> None:
+    with pytest.raises(DamageError, match=r'a damaged \w+ .* at byte 5'):
+        parse(opcode, body, 5)
+
+
+@pytest.mark.parametrize('body', [b'', bytes(20), bytes(32) + b'\xff' * 8, b'\xff' * 60])
+def test_chunks_that_make_no_sense_are_damaged(body: bytes) -> None:
+    with pytest.raises(DamageError, match='chunk'):
+        parse_chunk(body, 0)
+
+
+def test_contents_end_where_the_chunk_ends() -> None:
+    whole = PREFIX.pack(5, MESSAGE.size + 3) + MESSAGE.pack(1, 0, 5, 6) + b'abc'
+    assert list(contents(whole + PREFIX.pack(0x90, 2) + b'xy', 0)) == [Message(1, 5, 6, b'abc')]
+    for bad in (whole[:-1], whole + b'\x05', PREFIX.pack(5, 3) + bytes(3), PREFIX.pack(6, 2**50)):
+        with pytest.raises(DamageError, match=r'a chunk that ends within|a message of 3 bytes'):
+            list(contents(bad, 0))
+    with pytest.raises(DamageError, match='a record of unknown kind 0 in a chunk'):
+        list(contents(bytes(50), 0))

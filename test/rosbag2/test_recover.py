@@ -1,0 +1,198 @@
+"""What a crash, a torn disk or a flipped bit costs: at most the chunk that it hits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import random
+import shutil
+
+from mcap.reader import make_reader
+import pytest
+from rosbag2.test_reader import mcap_of_others
+from rosbag2.tiny import recording, Sent, tiny_bag, write
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
+from shepherd_ros.recordings.check import check_bag
+from shepherd_ros.rosbag2.diff import diff_bags
+from shepherd_ros.rosbag2.errors import BagError
+from shepherd_ros.rosbag2.mcap_reader import ChunkRef, Storage
+from shepherd_ros.rosbag2.reader import open_bag
+from shepherd_ros.rosbag2.recover import recover, recovered_folder
+
+MESSAGES = list(recording()[0])
+CHUNK = 3000  # [bytes]
+
+
+@pytest.fixture(scope='module')
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a bag with about ten chunks."""
+    return tiny_bag(tmp_path_factory.mktemp('w') / 'bag', chunk_size=CHUNK)
+
+
+def kept(folder: Path) -> list[Sent]:
+    """Return the messages of a bag after every reader has opened it."""
+    rows = [
+        Sent(m.topic, m.type, m.data, m.log_ns, m.publish_ns) for m in open_bag(folder).messages()
+    ]
+    for reader in (Reader(folder), AnyReader([folder])):
+        with reader:
+            assert reader.message_count == len(rows)
+            theirs = reader.messages(reader.connections)
+            assert [(c.topic, ns, bytes(d)) for c, ns, d in theirs] == [
+                (m.topic, m.log_ns, m.data) for m in rows
+            ]
+    for file in folder.glob('*.mcap'):
+        with file.open('rb') as stream:
+            list(make_reader(stream, validate_crcs=True).iter_messages())
+    assert (folder / 'metadata.yaml').exists()
+    return rows
+
+
+def messages_in(folder: Path, chunks: list[ChunkRef]) -> int:
+    """Return how many messages some chunks of a bag have."""
+    storage = Storage(next(folder.glob('*.mcap')))
+    return sum(len(storage.read(chunk)) for chunk in chunks)
+
+
+def lost(rows: list[Sent]) -> int:
+    """Return how many messages are missing; all others are as they were."""
+    assert set(rows) <= set(MESSAGES)
+    assert rows == sorted(rows, key=lambda m: m.log_ns)
+    return len(MESSAGES) - len(rows)
+
+
+def test_a_whole_bag_comes_out_equal(whole: Path, tmp_path: Path) -> None:
+    result = recover(whole, tmp_path / 'new')
+    assert (result.messages, result.lost_bytes, result.lost_chunks) == (len(MESSAGES), 0, 0)
+    assert kept(tmp_path / 'new') == MESSAGES
+    assert diff_bags(open_bag(whole), open_bag(tmp_path / 'new'), times=True).equal
+    assert open_bag(tmp_path / 'new').custom_data == open_bag(whole).custom_data
+    assert open_bag(tmp_path / 'new').topics == open_bag(whole).topics
+    assert check_bag(open_bag(tmp_path / 'new')).ok
+    assert result.text().startswith(
+        f'{tmp_path / "new"}: {len(MESSAGES)} messages kept of 1 files'
+    )
+
+
+@pytest.mark.parametrize('seed', range(20))
+def test_a_file_that_was_cut_off_loses_what_was_cut(
+    whole: Path, tmp_path: Path, seed: int
+) -> None:
+    data = (whole / 'bag_0.mcap').read_bytes()
+    chunks = Storage(whole / 'bag_0.mcap').chunks
+    size = random.Random(seed).randrange(chunks[0].offset, len(data))
+    torn = tmp_path / 'torn.mcap'
+    torn.write_bytes(data[:size])
+    result = recover(torn)
+    assert torn.read_bytes() == data[:size]
+    assert result.folder == tmp_path / 'torn_recovered'
+    rows = kept(result.folder)
+    assert rows == MESSAGES[: len(rows)]
+    there = [chunk for chunk in chunks if chunk.offset + chunk.length <= size]
+    torn_one = chunks[: len(there) + 1]
+    assert messages_in(whole, there) <= len(rows) <= messages_in(whole, torn_one)
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith('.')] == []
+
+
+@pytest.mark.parametrize('seed', range(20))
+def test_a_torn_place_costs_the_chunks_that_it_touches(tmp_path: Path, seed: int) -> None:
+    compression = ('none', 'zstd', 'lz4')[seed % 3]
+    folder = tiny_bag(tmp_path / 'bag', chunk_size=CHUNK, compression=compression)
+    path = folder / 'bag_0.mcap'
+    chunks = Storage(path).chunks
+    counts = {chunk: messages_in(folder, [chunk]) for chunk in chunks}
+    before = path.read_bytes()
+    data = bytearray(before)
+    rng = random.Random(seed)
+    begin = rng.randrange(chunks[0].offset, chunks[-1].offset)
+    length = rng.randrange(1, 400)
+    data[begin : begin + length] = bytes(length) if seed % 2 else rng.randbytes(length)
+    path.write_bytes(data)
+    (folder / 'metadata.yaml').unlink()
+    places = {chunk: slice(chunk.offset, chunk.offset + chunk.length) for chunk in chunks}
+    touched = [chunk for chunk, place in places.items() if data[place] != before[place]]
+    result = recover(folder)
+    assert path.read_bytes() == bytes(data)
+    assert lost(kept(result.folder)) == sum(counts[chunk] for chunk in touched)
+    assert result.lost_chunks or not touched
+
+
+def test_without_summary_the_front_tells_of_the_topics(whole: Path, tmp_path: Path) -> None:
+    """A recorder that was killed leaves no metadata.yaml and no end."""
+    copy = shutil.copytree(whole, tmp_path / 'copy')
+    (copy / 'metadata.yaml').unlink()
+    path = copy / 'bag_0.mcap'
+    chunks = Storage(path).chunks
+    path.write_bytes(path.read_bytes()[: chunks[-1].offset + chunks[-1].length])
+    result = recover(copy)
+    assert kept(result.folder) == MESSAGES
+    assert result.lost_bytes == 0
+    # the first episode comes from its topic
+    assert open_bag(result.folder).custom_data == open_bag(whole).custom_data
+
+
+def test_an_uncompressed_torn_chunk_gives_its_messages(whole: Path, tmp_path: Path) -> None:
+    data = (whole / 'bag_0.mcap').read_bytes()
+    chunks = Storage(whole / 'bag_0.mcap').chunks
+    torn = tmp_path / 'torn.mcap'
+    torn.write_bytes(data[: chunks[2].offset + chunks[2].length - 1])
+    assert recover(torn).messages == messages_in(whole, chunks[:3]) - 1
+
+
+@pytest.mark.parametrize('chunked', [True, False])
+def test_files_of_the_mcap_library(tmp_path: Path, chunked: bool) -> None:
+    path = tmp_path / 'theirs.mcap'
+    mcap_of_others(path, MESSAGES, use_chunking=chunked, chunk_size=CHUNK)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    rows = kept(recover(path).folder)
+    assert rows == MESSAGES[: len(rows)]
+    assert len(rows) > len(MESSAGES) // 4
+
+
+def test_split_bags_stay_split_and_one_bad_file_is_told(tmp_path: Path) -> None:
+    folder = tiny_bag(tmp_path / 'bag', chunk_size=CHUNK, split_bytes=9000)
+    count = len(list(folder.glob('*.mcap')))
+    assert count > 2
+    (folder / 'bag_1.mcap').write_bytes(b'nothing of the kind')
+    (folder / 'bag_2.mcap').write_bytes((folder / 'bag_2.mcap').read_bytes()[:-30])
+    result = recover(folder)
+    assert len(list(result.folder.glob('*.mcap'))) == count - 1 == result.files
+    assert len(result.refused) == 1
+    assert 'bag_1.mcap: it is no MCAP file' in result.text()
+    kept(result.folder)
+
+
+def test_what_has_nothing_to_recover_is_refused(tmp_path: Path, whole: Path) -> None:
+    (tmp_path / 'empty.mcap').write_bytes(b'')
+    (tmp_path / 'text.mcap').write_text('no bag at all')
+    (tmp_path / 'folder').mkdir()
+    for path, what in (
+        ('empty.mcap', 'it is empty; there is nothing to recover'),
+        ('text.mcap', 'it is no MCAP file'),
+        ('folder', r'it holds no \.mcap file'),
+        ('none', 'it cannot be read .No such file'),
+    ):
+        with pytest.raises(BagError, match=what):
+            recover(tmp_path / path)
+        assert not recovered_folder(tmp_path / path).exists()
+    with pytest.raises(BagError, match='it exists already; choose another folder'):
+        recover(whole, tmp_path / 'folder')
+    with pytest.raises(BagError, match='it cannot be created'):
+        recover(whole, tmp_path / 'text.mcap' / 'deeper')
+
+
+def test_a_file_with_nothing_but_a_front_gives_an_empty_bag(whole: Path, tmp_path: Path) -> None:
+    data = (whole / 'bag_0.mcap').read_bytes()
+    for size in (8, 20, 200):
+        (tmp_path / f'{size}.mcap').write_bytes(data[:size])
+        assert kept(recover(tmp_path / f'{size}.mcap').folder) == []
+
+
+def test_two_types_on_one_topic_keep_the_first(tmp_path: Path) -> None:
+    first = write(tmp_path / 'bag', MESSAGES[:20])
+    other = write(tmp_path / 'b', [MESSAGES[0]._replace(topic='/flock/poses', log_ns=10**18)])
+    shutil.move(other / 'b_0.mcap', first / 'bag_1.mcap')
+    result = recover(first)
+    assert kept(result.folder) == MESSAGES[:20]
+    assert result.lost_bytes == len(MESSAGES[0].data)

@@ -1,0 +1,195 @@
+"""The stack that demo and launch file start, and the files beside the nodes."""
+
+import ast
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import rclpy
+from rclpy.context import Context
+from shepherd_ros.bringup import (
+    checkpoint_for,
+    commanded,
+    herding_stack,
+    LAUNCH_ARGUMENTS,
+    launch_values,
+    REPLAY_ARGUMENTS,
+    replay_values,
+    ReplayValues,
+    TRAINED_FOR,
+)
+from shepherd_ros.cli import main
+from shepherd_ros.config import ConfigError
+from shepherd_ros.experiments.methods import make_method
+from shepherd_ros.experiments.setting import Setting
+from shepherd_ros.nodes.compose import NODES
+from shepherd_ros.nodes.defaults import parameter_file, WITH_FILE
+from shepherd_ros.policy.checkpoint import shipped_checkpoints
+from shepherd_ros.resources import share_file
+from shepherd_ros.sim.flocking import FLOCK_MODELS
+from shepherd_ros.sim.presets import PRESETS
+from shepherd_ros.wire.topics import renamed_topics
+import yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+DEFAULTS = {name: default for name, (default, _) in LAUNCH_ARGUMENTS.items()}
+
+
+@pytest.mark.parametrize('name', WITH_FILE)
+def test_a_parameter_file_is_the_defaults_of_its_node(name: str) -> None:
+    text = share_file('config', f'{name}.yaml').read_text(encoding='utf-8')
+    assert text == parameter_file(name)
+    assert yaml.safe_load(text)[f'/**/{name}']['ros__parameters']
+
+
+@pytest.mark.parametrize('controller', sorted(PRESETS['paper'].controllers))
+def test_heuristics_of_a_stack_have_the_options_of_its_preset(controller: str) -> None:
+    wanted = make_method(controller, Setting(preset='paper')).config
+    assert wanted != make_method(controller, Setting()).config
+    context = Context()
+    rclpy.init(args=[], context=context)
+    more = {} if controller == 'pierson' else {'arc_margin': 7.0}  # what is given wins
+    stack = herding_stack(controller, preset='paper')
+    process = replace(stack[-1], parameters=stack[-1].parameters | more)
+    node = NODES[controller](
+        context=context, cli_args=process.arguments(), use_global_arguments=False
+    )
+    assert node.options == replace(wanted, **more)
+    node.destroy_node()
+    context.try_shutdown()
+
+
+def test_the_stack_has_a_lidar_for_each_shepherd_and_distinct_names() -> None:
+    (learned,) = [p for p in herding_stack('policy', 2) if p.name == 'policy']
+    # its own default is the first shepherd alone
+    assert learned.parameters == {'shepherd_ids': [0, 1], 'checkpoint': 'imitation'}
+    assert commanded('policy', 1, {'flock': 'reynolds'})['checkpoint'] == 'reynolds'
+    assert checkpoint_for('a new one') == 'imitation'
+    assert set(TRAINED_FOR.values()) <= set(shipped_checkpoints())
+    assert set(TRAINED_FOR) == set(FLOCK_MODELS)
+    stack = herding_stack('pierson', 5, n_sheep=7, wait_for_scans=True)
+    assert [p.executable for p in stack].count('lidar') == 5
+    assert len({p.name for p in stack}) == len(stack) == 8
+    assert stack[0].arguments() == [
+        '--ros-args', '-r', '__node:=flock_sim', '-p', 'n_shepherds:=5', '-p', 'n_sheep:=7',
+        '-p', 'wait_for_scans:=true',
+    ]  # fmt: skip
+
+
+def test_every_parameter_that_the_launch_file_sets_is_one_of_flock_sim() -> None:
+    known = yaml.safe_load(share_file('config', 'flock_sim.yaml').read_text())
+    values = launch_values(DEFAULTS)
+    assert set(values.flock_sim) <= set(known['/**/flock_sim']['ros__parameters'])
+    assert values.flock_sim.items() <= known['/**/flock_sim']['ros__parameters'].items()
+
+
+def test_a_viewer_of_a_stack_in_a_namespace_gets_its_topics() -> None:
+    renames = dict(renamed_topics('/farm', 2))
+    assert renames['/markers'] == '/farm/markers'
+    assert renames['/shepherd_1/scan/goal'] == '/farm/shepherd_1/scan/goal'
+    assert '/shepherd_2/scan/goal' not in renames
+    assert '/clock' not in renames
+    assert renamed_topics('', 2) == []
+
+
+@pytest.mark.parametrize(
+    ('given', 'message'),
+    [
+        ({'n_sheep': 'many'}, "n_sheep is 'many': expected int, such as 100"),
+        ({'rate': 'fast'}, "rate is 'fast': expected float"),
+        ({'rviz': 'yes'}, "rviz is 'yes': expected true or false"),
+    ],
+)
+def test_a_bad_launch_argument_is_named(given: dict[str, str], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        launch_values(DEFAULTS | given)
+
+
+@pytest.mark.parametrize(
+    ('file', 'used'),
+    [
+        ('simulate', {'LAUNCH_ARGUMENTS', 'launch_values', 'herding_stack'}),
+        ('replay', {'REPLAY_ARGUMENTS', 'replay_values'}),
+    ],
+)
+def test_the_launch_file_declares_the_arguments_and_reads_them_from_the_stack(
+    file: str, used: set[str]
+) -> None:
+    source = (ROOT / 'launch' / f'{file}.launch.py').read_text(encoding='utf-8')
+    names = {node.id for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Name)}
+    assert used <= names
+    functions = [n.name for n in ast.parse(source).body if isinstance(n, ast.FunctionDef)]
+    assert 'generate_launch_description' in functions
+
+
+RECORDED = ['/clock', '/episode', '/flock/poses', '/shepherd_0/cmd_vel', '/shepherd_0/scan/goal']
+
+
+def replayed(topics: list[str] = RECORDED, **given: str) -> ReplayValues:
+    """Return what the launch file makes of its arguments."""
+    return replay_values(
+        {name: default for name, (default, _) in REPLAY_ARGUMENTS.items()} | {'bag': 'b'} | given,
+        topics,
+    )
+
+
+def test_a_bag_is_played_as_a_whole_unless_a_controller_answers() -> None:
+    assert replayed().player == ['b', '--rate', '1.0']
+    assert replayed(rate='2', loop='true').player == ['b', '--rate', '2.0', '--loop']
+    words = replayed(controller='pierson').player
+    played = words[words.index('--topics') + 1 :]
+    assert played == [name for name in RECORDED if name != '/shepherd_0/cmd_vel']
+    assert (replayed().delay, replayed(controller='pierson', delay='3').delay) == (0.0, 3.0)
+
+
+def test_the_player_takes_the_words_of_the_launch_file() -> None:
+    tyro = pytest.importorskip('tyro')
+    options = pytest.importorskip('shepherd_ros.nodes.player_node').PlayerOptions
+    words = replayed(controller='pierson', rate='2', loop='true').player
+    parsed = tyro.cli(options, args=words)
+    assert (parsed.bag, parsed.rate, parsed.loop) == (Path('b'), 2.0, True)
+    assert parsed.topics == ('/clock', '/episode', '/flock/poses', '/shepherd_0/scan/goal')
+
+
+def test_a_namespace_takes_the_place_of_the_recorded_one() -> None:
+    assert (replayed().remaps, replayed().namespace) == ([], '')
+    values = replayed(namespace='/farm/')
+    assert (values.namespace, values.n_shepherds) == ('farm', 1)
+    assert dict(values.remaps) == {name: f'/farm{name}' for name in RECORDED if name != '/clock'}
+    topics = [name if name == '/clock' else f'/field{name}' for name in RECORDED]
+    assert (replayed(topics).remaps, replayed(topics).namespace) == ([], 'field')
+    moved = dict(replayed(topics, namespace='farm').remaps)
+    assert moved['/field/flock/poses'] == '/farm/flock/poses'
+    assert '/clock' not in moved
+
+
+@pytest.mark.parametrize(
+    ('given', 'message'),
+    [
+        ({'rate': 'fast'}, "rate is 'fast': expected float, such as 1.0"),
+        ({'delay': ''}, "delay is '': expected float, such as 5.0"),
+        ({'loop': 'yes'}, "loop is 'yes': expected true or false"),
+        ({'rviz': '1'}, "rviz is '1': expected true or false"),
+    ],
+)
+def test_a_bad_argument_of_the_replay_is_named(given: dict[str, str], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        replayed(**given)
+
+
+@pytest.mark.parametrize(
+    ('words', 'message'),
+    [
+        (['demo', '--controller', 'piersen'], "did you mean 'pierson'"),
+        (['demo', '--flock', 'boids'], "flock is 'boids': expected one of reynolds, strombom"),
+        (['demo', '--preset', 'fine_dt'], 'dt is 0.1 s: expected 0.5 s'),
+        (['demo', '--sheep', '0'], '--sheep is 0: expected at least 1'),
+        (['demo', '--animation', 'avi'], "--animation is 'avi': expected gif, mp4 or none"),
+        (['evaluate', '9'], "experiment is '9': expected one of"),
+    ],
+)
+def test_a_bad_word_after_shepherd_is_named(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    assert message in capsys.readouterr().err
