@@ -18,7 +18,7 @@ from shepherd_ros.sim.observation import ObservationConfig
 from shepherd_ros.sim.world import WorldConfig
 from stable_baselines3 import PPO
 
-SCRIPT = Path(__file__).resolve().parents[1] / 'scripts' / 'train_sb3.py'
+SCRIPT = Path(__file__).resolve().parents[2] / 'scripts' / 'train_sb3.py'
 CONFIG = EnvConfig(
     world=WorldConfig(n_sheep=8, n_shepherds=2, episode_steps=6),
     lidar=LidarConfig(n_rays=64),

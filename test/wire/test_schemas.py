@@ -26,7 +26,7 @@ from shepherd_ros.wire.schemas import (
 from shepherd_ros.wire.topics import contract
 import yaml
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / 'msg_schemas'
 INSTALLED = pytest.mark.skipif(
     importlib.util.find_spec('std_msgs') is None, reason='message packages are not installed'
