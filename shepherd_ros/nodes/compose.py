@@ -27,7 +27,7 @@ NODES: dict[str, Callable[..., ShepherdNode]] = {
 
 def compose(processes: Sequence[Process], **kwargs: Any) -> list[ShepherdNode]:
     """
-    Return the nodes of a stack, to be spun together with nodes.runtime.spin().
+    Return the nodes of a stack, to be spun together with ros.runtime.spin().
 
     What they say to each other alone does not go through DDS; other processes hear all they want.
     Keyword arguments are those of rclpy's Node, such as a context. The executor is that of the

@@ -23,7 +23,7 @@ LARGEST_MESSAGE = LARGEST // 2  # [bytes], so that a chunk with it can be read
 SMALLEST_SPLIT = 1024  # [bytes], as in rosbag2
 VERSION_KEY = 'shepherd_ros.version'
 CONTRACT_KEY = 'shepherd_ros.contract'
-EPISODE_KEY = 'shepherd_ros.wire.episode'
+EPISODE_KEY = 'shepherd_ros.episode'
 LOST_KEY = 'shepherd_ros.lost'  # JSON: how many messages the recorder missed, by topic
 _ELSEWHERE = 'free space or choose another place, then record into a new folder'
 

@@ -26,9 +26,9 @@ import sys
 import traceback
 from typing import Any
 
-from bags import fuzz
 import pyarrow as pa
 from pyarrow import parquet
+from rosbag2 import fuzz
 from shepherd_ros.cli import UserError
 from shepherd_ros.cli.checkpoint import Info
 from shepherd_ros.config import ConfigError

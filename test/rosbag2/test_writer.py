@@ -150,7 +150,7 @@ def test_the_bag_explains_itself(tmp_path: Path) -> None:
         'run': '12',
         'shepherd_ros.version': shepherd_ros.__version__,
         'shepherd_ros.contract': contract_hash(),
-        'shepherd_ros.wire.episode': episode.data,  # type: ignore[attr-defined]
+        'shepherd_ros.episode': episode.data,  # type: ignore[attr-defined]
     }
 
 
