@@ -23,10 +23,10 @@ from rosbag2.tiny import (
 )
 from shepherd_ros.cli import main
 from shepherd_ros.recordings.episodes import iter_episodes
-from shepherd_ros.recordings.metrics import COLUMNS
 from shepherd_ros.recordings.replay import metrics_over_time, states_of
 from shepherd_ros.rosbag2.diff import diff_bags
 from shepherd_ros.rosbag2.reader import open_bag
+from shepherd_ros.sim.metrics import shown
 from shepherd_ros.wire.decode import decode_string
 
 MESSAGES = recording()[0]
@@ -78,12 +78,13 @@ def test_info_tells_the_metrics_of_each_episode(
     lines = shepherd('info', bag)[1].splitlines()
     place = next(k for k, line in enumerate(lines) if line.startswith('Metrics: '))
     header = re.split(r'  +', lines[place])
-    assert header == ['Metrics:', 'episode', 'seed', *COLUMNS.values()]
+    assert header == ['Metrics:', 'episode', 'seed', *(metric.short for metric in shown('bag'))]
     rows = [re.split(r'  +', line.strip()) for line in lines[place + 1 :]]
     assert [row[:2] for row in rows] == [['0', '7'], ['1', '8']]
     for row, episode in zip(rows, iter_episodes(open_bag(bag)), strict=True):
         curves = metrics_over_time(states_of(episode), episode.episode_steps)
-        for told, name in zip(row[2:], COLUMNS, strict=True):
+        for told, metric in zip(row[2:], shown('bag'), strict=True):
+            name = metric.name
             late = name == 'completion_time' and not curves['completed'][-1]
             assert told == ('never' if late else f'{curves[name][-1]:.4g}'), name
     assert 'Metrics' not in shepherd('info', bag, '--no-metrics')[1]
@@ -96,6 +97,7 @@ def test_info_of_states_that_cannot_be_counted_has_no_metrics_for_them(
         '"n_sheep": 5, "n_shepherds"': '"n_sheep": 6, "n_shepherds"',
         '"goal_radius": 4.0, "m': '"m',
     }
+    columns = len(shown('bag'))
     for k, (old, new) in enumerate(text.items()):
         rows = []
         for m in MESSAGES:
@@ -106,7 +108,7 @@ def test_info_of_states_that_cannot_be_counted_has_no_metrics_for_them(
             rows.append(m)
         code, out, err = shepherd('info', write(tmp_path / str(k), rows))
         assert (code, err) == (0, '')
-        assert [line.split()[2:] for line in out.splitlines()[-2:]] == [['?'] * len(COLUMNS)] * 2
+        assert [line.split()[2:] for line in out.splitlines()[-2:]] == [['?'] * columns] * 2
 
 
 def test_check_of_a_whole_bag_is_zero_and_of_a_gap_one(

@@ -173,6 +173,7 @@ class Render:
             states_of,
             track_of,
         )
+        from shepherd_ros.sim.metrics import shown
         from shepherd_ros.view.animation import animate
         from shepherd_ros.view.page import write_page
         from shepherd_ros.view.picture import draw_tracks
@@ -183,11 +184,12 @@ class Render:
             episode, f'{self.bag.name}, episode {episode.number}, seed {episode.seed}'
         )
         curves = metrics_over_time(states_of(episode), episode.episode_steps)
-        shown = {k: curves[k] for k in ('fraction_in_goal', 'goal_distance', 'flock_spread')}
+        drawn = {metric.name: curves[metric.name] for metric in shown('page')}
+        units = {metric.name: metric.unit for metric in shown('page') if metric.unit != '1'}
         paths = [self.output / name for name in ('tracks.png', 'herding.gif', 'replay.html')]
         draw_tracks(track, paths[0])
         animate(track, paths[1])
-        write_page(track, shown, paths[2], ranges=ranges_of(episode))
+        write_page(track, drawn, paths[2], units=units, ranges=ranges_of(episode))
         for path in paths:
             print(f'wrote {path}')
         return 0

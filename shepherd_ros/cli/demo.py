@@ -160,14 +160,14 @@ class Demo:
     @staticmethod
     def _table(values: dict[str, float]) -> Table:
         """Return the metrics as a table, the paper's five first."""
-        from shepherd_ros.sim.metrics import METRICS, PAPER_METRICS
+        from shepherd_ros.sim.metrics import shown
 
         table = Table(title='Metrics of the episode')
         for column in ('metric', 'value', 'unit', 'meaning'):
             table.add_column(column, justify='right' if column == 'value' else 'left')
-        for name in (*PAPER_METRICS, 'fraction_in_goal', 'shepherd_path_to_completion'):
-            unit, meaning = METRICS[name]
-            table.add_row(name, f'{values[name]:.4g}', unit, meaning)
+        for metric in shown('summary'):
+            value = f'{values[metric.name]:.4g}'
+            table.add_row(metric.name, value, metric.unit, metric.meaning)
         return table
 
     def _draw(self, witness: Witness, console: Console) -> None:

@@ -25,6 +25,7 @@ from shepherd_ros.memory import keep_memory
 from shepherd_ros.policy.checkpoint import load_policy
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
+from shepherd_ros.sim.metrics import shown
 from shepherd_ros.sim.observation import ObservationConfig
 import torch
 import tyro
@@ -219,7 +220,7 @@ def show(line: dict[str, Any]) -> None:
     parts += [f'{name} {line[name]:.4f}' for name in watched]
     parts += [
         f'{name} {line["judge/" + name]:.2f}'
-        for name in ('return', 'fraction_reached', 'fraction_in_goal')
+        for name in ('return', *(metric.name for metric in shown('progress')))
         if 'judge/' + name in line
     ]
     parts.append(f'{left} left')

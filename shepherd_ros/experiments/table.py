@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 import csv
 from io import StringIO
 
@@ -10,9 +9,7 @@ from shepherd_ros.experiments.bootstrap import mean_interval
 from shepherd_ros.experiments.methods import label
 from shepherd_ros.experiments.samples import means, Samples
 from shepherd_ros.experiments.setting import FIELDS
-from shepherd_ros.sim.metrics import METRICS, PAPER_METRICS
-
-COLUMNS = (*PAPER_METRICS, 'fraction_in_goal', 'shepherd_path_to_completion')
+from shepherd_ros.sim.metrics import METRICS, shown
 
 
 def number(value: float) -> str:
@@ -25,30 +22,24 @@ def interval_text(mean: float, low: float, high: float) -> str:
     return f'{number(mean)} [{number(low)}, {number(high)}]'
 
 
-def header(metric: str) -> str:
-    """Return the name of a metric in words, with its unit."""
-    unit = METRICS[metric][0]
-    return metric.replace('_', ' ') + ('' if unit == '1' else f' [{unit}]')
-
-
 def varying(samples: Samples) -> list[str]:
     """Return the fields that differ between settings of the experiment."""
     names = [n for n in FIELDS if len({getattr(s, n) for s in samples.settings}) > 1]
     return names or ['sheep']
 
 
-def markdown(samples: Samples, columns: Sequence[str] = COLUMNS) -> str:
+def markdown(samples: Samples) -> str:
     """Return a table with a row for each setting and controller."""
-    keys = varying(samples)
+    keys, columns = varying(samples), shown('summary')
     lines = [
-        f'| {" | ".join(keys)} | controller | {" | ".join(map(header, columns))} |',
+        f'| {" | ".join(keys)} | controller | {" | ".join(metric.words for metric in columns)} |',
         '|' + '--:|' * len(keys) + ':--|' + '--:|' * len(columns),
     ]
-    for controller, setting, values in means(samples, columns):
+    for controller, setting, values in means(samples, [metric.name for metric in columns]):
         cells = [str(getattr(setting, key)) for key in keys]
         cells.append(label(controller))
-        for name in columns:
-            mean, low, high = (float(x) for x in mean_interval(values[name]))
+        for metric in columns:
+            mean, low, high = (float(x) for x in mean_interval(values[metric.name]))
             cells.append(interval_text(mean, low, high))
         lines.append(f'| {" | ".join(cells)} |')
     return '\n'.join(lines) + '\n'
@@ -74,13 +65,16 @@ def grid(samples: Samples, metric: str) -> str:
     return '\n'.join(lines) + '\n'
 
 
-def grids(samples: Samples, columns: Sequence[str] = COLUMNS) -> str:
+def grids(samples: Samples) -> str:
     """Return a page with the grid() of each metric."""
     intro = (
         f'# {samples.experiment.title}\n\n{len(samples.seeds)} starts of each cell, '
         f'{samples.steps} steps; means with 95 % bootstrap intervals.\n'
     )
-    parts = [f'\n## {header(name).capitalize()}\n\n{grid(samples, name)}' for name in columns]
+    parts = [
+        f'\n## {metric.words.capitalize()}\n\n{grid(samples, metric.name)}'
+        for metric in shown('summary')
+    ]
     return intro + ''.join(parts)
 
 

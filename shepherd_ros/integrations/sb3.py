@@ -15,6 +15,7 @@ import numpy as np
 from shepherd_ros.config import ConfigError
 from shepherd_ros.integrations.environments import HerdingVectorEnv
 from shepherd_ros.sim.env import EnvConfig
+from shepherd_ros.sim.metrics import shown
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecEnv
@@ -114,7 +115,7 @@ class LidarFeatures(BaseFeaturesExtractor):
 def evaluate(
     model: BaseAlgorithm, config: EnvConfig, n_worlds: int, hold: int, seed: int
 ) -> dict[str, float]:
-    """Return the mean metrics of one episode in each world, by the mean action."""
+    """Return the mean return and metrics of one episode in each world, by the mean action."""
     env = HerdingVecEnv(config, n_worlds, hold)
     env.seed(seed)
     seen: Any = env.reset()
@@ -123,6 +124,8 @@ def evaluate(
         action, _ = model.predict(seen, deterministic=True)
         seen, reward, _, infos = env.step(action)
         total += reward
-    names = ('completed', 'completion_time', 'fraction_reached', 'fraction_in_goal')
-    means = {name: float(np.mean([info['metrics'][name] for info in infos])) for name in names}
+    means = {
+        metric.name: float(np.mean([info['metrics'][metric.name] for info in infos]))
+        for metric in shown('judge')
+    }
     return {'return': float(total.mean()), **means}

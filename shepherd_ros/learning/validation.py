@@ -11,18 +11,10 @@ from shepherd_ros.experiments.runner import run_episodes
 from shepherd_ros.learning.task import base_world, TaskConfig
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.env import EnvConfig
+from shepherd_ros.sim.metrics import shown
 import torch
 
 FIRST_SEED = 900_000_000  # far from those of training and of tables
-COLUMNS = (
-    'return',
-    'completed',
-    'completion_time',
-    'fraction_reached',
-    'fraction_in_goal',
-    'shepherd_path_length',
-    'flock_spread',
-)
 
 
 def judged_sizes(task: TaskConfig) -> list[int]:
@@ -57,6 +49,7 @@ def judge(
         config, device = EnvConfig(world=world), str(policy.device)
         results.append(run_episodes(config, controller, FIRST_SEED, count, device=device))
     means = {
-        name: float(torch.cat([result[name] for result in results]).mean()) for name in COLUMNS
+        name: float(torch.cat([result[name] for result in results]).mean())
+        for name in ('return', *(metric.name for metric in shown('judge')))
     }
     return means | {'score': means['return'] / 10 + means['fraction_in_goal']}

@@ -28,14 +28,6 @@ AXES = {
     'flock': 'flock',
     'case': '',
 }
-PANELS = {
-    'completion_time': 'time until the flock is home [steps]',
-    'shepherd_path_length': 'shepherd path [m]',
-    'flock_path_length': 'flock path [m]',
-    'flock_spread': 'flock spread [m]',
-    'fraction_reached': 'share that reached the goal',
-    'fraction_in_goal': 'share in the goal at the end',
-}
 # colour, line and marker of a method: apart in grey, too
 BLACK, STYLES = '#000000', {
     'strombom': ('#D55E00', '--', 's'),
@@ -117,7 +109,7 @@ def draw_lines(samples: Samples) -> Figure:
             look = style_of(name, samples.policies)
             axes.errorbar(x[order], mean, yerr=np.maximum(bars, 0), label=label(name), **look)
         _limit(axes, metric)
-        tidy(axes, AXES[experiment.axes[0]], PANELS[metric], f'({"abcdef"[k]})')
+        tidy(axes, AXES[experiment.axes[0]], METRICS[metric].title, f'({"abcdef"[k]})')
     _legend(figure, panels.flat[0])
     _title(figure, samples)
     return figure
@@ -138,7 +130,7 @@ def draw_cases(samples: Samples) -> Figure:
             axes.errorbar(mean, place, xerr=bars, label=label(name), **look)
         axes.set_yticks(range(len(cases)), cases if k == 0 else [''] * len(cases))
         axes.set_ylim(len(cases) - 0.5, -0.5)
-        tidy(axes, PANELS[metric], '')
+        tidy(axes, METRICS[metric].title, '')
         if len(metrics) > 1:
             _limit(axes, metric, along='x')
     _legend(figure, panels.flat[0])
@@ -156,7 +148,7 @@ def draw_maps(samples: Samples) -> Figure:
     figure, panels = new_figure(len(names), len(metrics), width, height)
     for metric, line in zip(metrics, panels.T, strict=True):
         means = {name: samples.values[name, metric].mean(axis=-1) for name in names}
-        top = 1.0 if METRICS[metric][0] == '1' else max(np.nanmax(m) for m in means.values())
+        top = 1.0 if METRICS[metric].unit == '1' else max(np.nanmax(m) for m in means.values())
         for name, axes in zip(names, line, strict=True):
             grid = np.full((len(rows), len(columns)), np.nan)
             for place, value in enumerate(means[name]):
@@ -168,7 +160,7 @@ def draw_maps(samples: Samples) -> Figure:
                 text = '' if np.isnan(value) else f'{value:.2f}' if top <= 1 else f'{value:.0f}'
                 color = 'white' if value > 0.6 * top else 'black'
                 axes.text(j, i, text, ha='center', va='center', fontsize=7, color=color)
-            tidy(axes, AXES[across], AXES[down], f'{label(name)}\n{PANELS[metric]}')
+            tidy(axes, AXES[across], AXES[down], f'{label(name)}\n{METRICS[metric].title}')
             axes.title.set_fontsize(7)
             axes.grid(visible=False)
             axes.set_xticks(range(len(columns)), [str(c) for c in columns])
@@ -225,7 +217,7 @@ def draw_values(maps: dict[str, ValueMap]) -> Figure:
 
 def _limit(axes: Axes, metric: str, along: str = 'y') -> None:
     """Let shares go from 0 to 1, all others from 0."""
-    top = 1.03 if METRICS[metric][0] == '1' else None
+    top = 1.03 if METRICS[metric].unit == '1' else None
     getattr(axes, f'set_{along}lim')(0, top)
 
 

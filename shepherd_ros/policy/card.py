@@ -6,16 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from shepherd_ros.policy.policy import Policy
+from shepherd_ros.sim.metrics import shown
 
-JUDGED = {  # what training has measured: title and unit
-    'completed': 'episodes in which the flock came home',
-    'completion_time': 'completion time [steps]',
-    'fraction_reached': 'fraction reached',
-    'fraction_in_goal': 'in goal at the end',
-    'shepherd_path_length': 'shepherd path [m]',
-    'flock_spread': 'flock spread [m]',
-    'return': 'return',
-}
 MADE = {'seed': 'seed', 'wall_time_s': 'wall time [s]', 'machine': 'machine', 'code': 'commit',
         'version': 'version', 'torch': 'torch', 'note': 'note'}  # fmt: skip
 LONGEST = 8000  # characters of one thing that a file says
@@ -70,7 +62,7 @@ def judged(results: Any) -> list[str]:
     ]
     rows = [
         f'| {title} | {results[key]:.4g} |'
-        for key, title in JUDGED.items()
+        for key, title in [*((m.name, m.short) for m in shown('judge')), ('return', 'return')]
         if isinstance(results.get(key), int | float)
     ]
     return [*head, '', '| | mean |', '|---|--:|', *rows, '']

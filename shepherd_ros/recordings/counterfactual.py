@@ -100,7 +100,7 @@ def metrics_table(recorded: Episode, future: Episode, name: str) -> str:
         place = [frame.step for frame in episode.frames].index(last)
         columns.append({metric: values[place] for metric, values in curves.items()})
     lines = [f'| after {last} steps | recorded | {name} | unit |', '|:--|--:|--:|:--|']
-    for metric, (unit, _) in METRICS.items():
-        values = ' | '.join(f'{column[metric]:.4g}' for column in columns)
-        lines.append(f'| {metric} | {values} | {unit} |')
+    for metric in METRICS.values():
+        values = ' | '.join(f'{column[metric.name]:.4g}' for column in columns)
+        lines.append(f'| {metric.name} | {values} | {metric.unit} |')
     return '\n'.join(lines) + '\n'

@@ -8,20 +8,12 @@ from shepherd_ros.recordings.grouping import GOAL, Group, Groups, namespaces, ST
 from shepherd_ros.recordings.info import INDENT
 from shepherd_ros.recordings.replay import metrics_over_time, states_of
 from shepherd_ros.rosbag2.reader import Bag
-
-COLUMNS = {
-    'completion_time': 'completion [steps]',
-    'shepherd_path_length': 'shepherd path [m]',
-    'flock_path_length': 'flock path [m]',
-    'flock_spread': 'spread [m]',
-    'fraction_reached': 'reached',
-    'fraction_in_goal': 'in goal at the end',
-}
+from shepherd_ros.sim.metrics import shown
 
 
 def metrics_lines(bag: Bag) -> list[str]:
     """Return a table for a terminal, counted from the recorded poses; [] without episodes."""
-    rows = [['episode', 'seed', *COLUMNS.values()]]
+    rows = [['episode', 'seed', *(metric.short for metric in shown('bag'))]]
     for namespace in namespaces(bag):
         for group in Groups(bag, namespace, (*STATES, GOAL)):
             name = f'{namespace} {group.info.number}'.strip()
@@ -35,14 +27,15 @@ def metrics_lines(bag: Bag) -> list[str]:
 
 def _values(bag: Bag, group: Group) -> list[str]:
     """Return the metrics of an episode after its last state, ? where its states are unusable."""
+    names = [metric.name for metric in shown('bag')]
     try:
         episode = episode_of(bag, group)
         if not episode.frames:
-            return ['?'] * len(COLUMNS)
+            return ['?'] * len(names)
         curves = metrics_over_time(states_of(episode), episode.episode_steps)
     except ConfigError:
-        return ['?'] * len(COLUMNS)
-    values = {name: f'{curves[name][-1]:.4g}' for name in COLUMNS}
+        return ['?'] * len(names)
+    values = {name: f'{curves[name][-1]:.4g}' for name in names}
     if not curves['completed'][-1]:
         values['completion_time'] = 'never'
     return list(values.values())

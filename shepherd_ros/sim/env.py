@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 from shepherd_ros.config import Config, option, part
@@ -128,8 +128,4 @@ class ShepherdEnv:
             chosen = ended[:, None, None, None, None]
             self._history = torch.where(chosen, self._history, old_history)
             self.stack = frames_of(self._history, self.config.observation)
-        kept = {}
-        for f in fields(old_tally):
-            new, old = getattr(self.tally, f.name), getattr(old_tally, f.name)
-            kept[f.name] = torch.where(ended.reshape(-1, *(1,) * (new.dim() - 1)), new, old)
-        self.tally = MetricsTally(**kept)
+        self.tally = self.tally.where(ended, old_tally)

@@ -9,6 +9,7 @@ import json
 import math
 from pathlib import Path
 from string import Template
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -37,18 +38,6 @@ MOST_STEPS = 20_000  # in a page; of a longer episode fewer are shown
 MOST_PLACES = 3_000_000  # coordinates in a page, steps x bodies x 2
 MOST_RANGES = 32_000_000  # numbers of rays in a page
 MOST_BYTES = 8_000_000  # of text for the rays
-# metric -> unit; one that is not named here has none
-UNITS = {
-    'completion_time': 'steps',
-    'shepherd_path_length': 'm',
-    'flock_path_length': 'm',
-    'flock_spread': 'm',
-    'shepherd_path_to_completion': 'm',
-    'flock_path_to_completion': 'm',
-    'flock_spread_per_axis': 'm',
-    'flock_spread_at_completion': 'm',
-    'goal_distance': 'm',
-}
 COLORS = {
     'sheep': SHEEP,
     'goal': GOAL,
@@ -75,14 +64,16 @@ def write_page(
     metrics: Mapping[str, ArrayLike],
     path: Path | str,
     *,
+    units: Mapping[str, str] = MappingProxyType({}),
     ranges: ArrayLike | None = None,
     title: str | None = None,
 ) -> None:
     """
     Write an episode as .html: a plane to play, pause and scrub, and curves of metrics.
 
-    metrics are (T,) each, NaN where there is no value. ranges (T, H, 3, R) m are those of all
-    shepherds, +inf on free rays; without them the page shows those of the track, if it has any.
+    metrics are (T,) each, NaN where there is no value; units are theirs by name. ranges (T, H, 3,
+    R) m are those of all shepherds, +inf on free rays; without them the page shows those of the
+    track, if it has any.
     A file of more than about 15 MB is avoided: of long episodes and large teams the page has
     every so many steps and rays only, and says so. title is by default that of the track.
     """
@@ -91,7 +82,7 @@ def write_page(
         raise ConfigError(f'{path} ends in {path.suffix!r}: expected .html')
     if not path.parent.is_dir():
         raise ConfigError(f'{path}: the folder {path.parent} is not there; make it first')
-    record = page_record(track, metrics, ranges)
+    record = page_record(track, metrics, units, ranges)
     heading = track.title if title is None else title
     parts = {
         'title': html.escape(heading or 'Shepherding episode'),
@@ -120,7 +111,10 @@ def facts(track: EpisodeTrack) -> str:
 
 
 def page_record(
-    track: EpisodeTrack, metrics: Mapping[str, ArrayLike], ranges: ArrayLike | None = None
+    track: EpisodeTrack,
+    metrics: Mapping[str, ArrayLike],
+    units: Mapping[str, str],
+    ranges: ArrayLike | None = None,
 ) -> dict[str, Any]:
     """Return what a page has to know, as plain data for JSON; notes say what was left out."""
     if not (np.diff(track.times) > 0).all():
@@ -147,7 +141,7 @@ def page_record(
         'inGoal': packed(track.in_goal[steps].astype(np.int32)),
         'limits': view_limits(track),
         'curves': [
-            {'name': name.replace('_', ' '), 'unit': UNITS.get(name, '')} | packed(values[steps])
+            {'name': name.replace('_', ' '), 'unit': units.get(name, '')} | packed(values[steps])
             for name, values in curves.items()
         ],
         'colors': COLORS,
