@@ -40,7 +40,8 @@ browser:  # Chromium, in which the tests look at pages
 	fi
 
 lint: setup
-	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/codespell
+	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/lint-imports --no-cache && \
+	  $(BIN)/mypy && $(BIN)/codespell
 
 # A policy of your own: bags of the teacher, cloning, DAgger, evaluation. Training that was
 # interrupted begins again; bags and rows that are there stay.

@@ -80,6 +80,7 @@ setup(
             'colcon-common-extensions',
             'colcon-ros',
             'hypothesis',
+            'import-linter',
             'jsonschema',
             'mcap-ros2-support',
             'mypy',

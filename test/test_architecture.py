@@ -1,4 +1,4 @@
-"""The rules of CONTRIBUTING.md: who imports whom, style, manifest."""
+"""The rules of CONTRIBUTING.md: purity, style, manifest. Rooms: test_rooms.py."""
 
 from __future__ import annotations
 
@@ -22,63 +22,13 @@ CODE = ROOT / 'shepherd_ros'
 MODULES = sorted(CODE.rglob('*.py'))
 
 PURE = {'config', 'sim', 'controllers'}
-# layer -> (layers of ours, packages of others) that it may import
-ALLOWED: dict[str, tuple[set[str], set[str]]] = {
-    'config': (set(), set()),
-    'share': (set(), {'ament_index_python'}),
-    'ranks': (set(), {'torch'}),
-    'memory': (set(), set()),
-    'topics': ({'config', 'share'}, {'yaml'}),
-    'stack': ({'config'}, set()),
-    'sim': ({'config'}, {'torch'}),
-    'sim/kernels': ({'config'}, {'numba', 'numpy', 'torch'}),
-    'environments': ({'config', 'sim'}, {'gymnasium', 'numpy', 'pettingzoo', 'torch'}),
-    'sb3': (
-        {'config', 'environments', 'sim'},
-        {'gymnasium', 'numpy', 'stable_baselines3', 'torch'},
-    ),
-    'policy': ({'config', 'share', 'sim'}, {'numpy', 'safetensors', 'torch'}),
-    'controllers': ({'config', 'sim', 'policy'}, {'torch'}),
-    'episode': ({'config', 'sim'}, set()),
-    'bags': (
-        {'config', 'share', 'topics'},
-        {'lz4', 'mcap', 'numpy', 'pyarrow', 'rosbags', 'yaml', 'zstandard'},
-    ),
-    'learning': (
-        {'config', 'ranks', 'sim', 'controllers', 'policy', 'bags', 'evaluation'},
-        {'numpy', 'tensorboard', 'torch'},
-    ),
-    'evaluation': (
-        {
-            'bags', 'config', 'controllers', 'episode', 'memory', 'policy', 'sim', 'topics',
-            'view',
-        },
-        {'matplotlib', 'numpy', 'pyarrow', 'torch'},
-    ),
-    'view': ({'config', 'share', 'sim'}, {'PIL', 'imageio', 'matplotlib', 'numpy', 'plotly'}),
-    'nodes': (
-        {
-            'config', 'share', 'topics', 'stack', 'sim', 'controllers', 'policy', 'bags',
-            'episode',
-        },
-        {'numpy', 'rclpy', 'torch', 'tyro', 'yaml'},
-    ),
-    'cli': (
-        {
-            'config', 'share', 'topics', 'stack', 'sim', 'controllers', 'policy', 'bags',
-            'environments', 'episode', 'learning', 'evaluation', 'memory', 'ranks', 'sb3', 'view',
-            'nodes',
-        },
-        {'numpy', 'rich', 'torch', 'tyro', 'yaml'},
-    ),
-}  # fmt: skip
+WITH_ROS = {'nodes', 'ros'}
 # a law of the world reads no file, no clock and no random state
 IMPURE = {
     'csv', 'datetime', 'io', 'json', 'pathlib', 'pickle', 'random', 'secrets', 'shutil', 'socket',
     'sqlite3', 'subprocess', 'tempfile', 'threading', 'time',
 }  # fmt: skip
 GLOBAL_TOPICS = {'/clock', '/diagnostics', '/tf'}  # whose names ROS 2 fixes
-LONGEST_FILE, LONGEST_SCRIPT = 300, 39  # lines
 ROSDEP = {'PIL': 'python3-pil'}  # where the key of rosdep is not python3-<package>
 WITH_PIP = {  # not from rosdep
     'gymnasium', 'imageio', 'lz4', 'mcap', 'numba', 'pettingzoo', 'plotly', 'pyarrow', 'rosbags',
@@ -98,12 +48,9 @@ def is_ros(package: str) -> bool:
     )  # fmt: skip
 
 
-def layer_of(path: Path) -> str:
-    """Return the layer of a file of ours; empty for the package itself."""
-    parts = path.relative_to(CODE).with_suffix('').parts
-    if parts[:2] == ('sim', 'kernels'):
-        return 'sim/kernels'
-    return '' if parts[0] == '__init__' else parts[0]
+def room_of(path: Path) -> str:
+    """Return the room of a file of ours: its folder, or the file of the ground floor."""
+    return path.relative_to(CODE).with_suffix('').parts[0]
 
 
 @cache
@@ -124,12 +71,6 @@ def imports(node: ast.AST, lazy: bool = True) -> Iterator[str]:
             yield from (f'{child.module}.{alias.name}' for alias in child.names)
         elif lazy or not isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef):
             yield from imports(child, lazy)
-
-
-def ours(name: str) -> str | None:
-    """Return the layer of ours that an import names, None for a package of others."""
-    package, _, rest = name.partition('.')
-    return rest.partition('.')[0] if package == 'shepherd_ros' else None
 
 
 def tracked() -> list[Path]:
@@ -153,36 +94,8 @@ def short(path: Path) -> str:
 
 
 @pytest.mark.parametrize('path', MODULES, ids=short)
-def test_layers_import_only_what_they_may(path: Path) -> None:
-    layer = layer_of(path)
-    mine, others = ALLOWED.get(layer, (set(), set()))
-    allowed = mine | {layer.split('/')[0], '__version__'}
-    for name in imports(tree(path)):
-        part, package = ours(name), name.partition('.')[0]
-        if part is not None:
-            assert part in allowed, f'{layer} imports {name}'
-        elif package not in sys.stdlib_module_names:
-            message = layer == 'nodes' and is_ros(package)
-            assert package in others or message, f'{layer} imports {name}'
-
-
-def test_contributors_read_the_same_rules() -> None:
-    assert {layer_of(path) for path in MODULES} - {''} <= set(ALLOWED)
-    text = (ROOT / 'CONTRIBUTING.md').read_text(encoding='utf-8')
-    rows = re.findall(r'^\| `([a-z0-9/]+)` \| (.+) \|$', text, re.MULTILINE)
-    assert [layer for layer, _ in rows] == list(ALLOWED)
-    for layer, told in rows:
-        names = {name for name in told.split(', ') if name not in ('nothing', 'messages')}
-        mine = {name.strip('`') for name in names if name.startswith('`')}
-        others = {name for name in names if re.fullmatch(r'\w+', name)}
-        if layer == 'cli':
-            mine = {name for name in ALLOWED if name not in ('cli', 'sim/kernels')}
-        assert (mine, others) == ALLOWED[layer], layer
-
-
-@pytest.mark.parametrize('path', MODULES, ids=short)
 def test_laws_of_the_world_use_neither_files_nor_clock_nor_random_state(path: Path) -> None:
-    if layer_of(path).split('/')[0] not in PURE:
+    if room_of(path) not in PURE:
         return
     assert {name.partition('.')[0] for name in imports(tree(path))}.isdisjoint(IMPURE)
     for node in ast.walk(tree(path)):
@@ -195,16 +108,16 @@ def test_laws_of_the_world_use_neither_files_nor_clock_nor_random_state(path: Pa
 
 def test_commands_import_nodes_only_inside_functions() -> None:
     for path in MODULES:
-        if layer_of(path) == 'cli':
-            early = [name for name in imports(tree(path), lazy=False) if ours(name) == 'nodes']
-            assert early == [], short(path)
+        if room_of(path) == 'cli':
+            early = set(imports(tree(path), lazy=False))
+            assert not any(name.startswith('shepherd_ros.nodes') for name in early), short(path)
 
 
-def test_everything_but_nodes_runs_without_ros() -> None:
+def test_everything_else_runs_without_ros() -> None:
     names = [
         '.'.join(path.relative_to(ROOT).with_suffix('').parts)
         for path in MODULES
-        if layer_of(path) != 'nodes' and path.name != '__main__.py'
+        if room_of(path) not in WITH_ROS and path.name != '__main__.py'
     ]
     code = f"""
 import importlib, sys
@@ -227,7 +140,7 @@ for name in {names!r}:
 
 def test_topic_names_are_relative() -> None:
     for path in MODULES:
-        if layer_of(path) != 'nodes':
+        if room_of(path) not in WITH_ROS:
             continue
         nodes = list(ast.walk(tree(path)))
         inner = {
@@ -237,14 +150,6 @@ def test_topic_names_are_relative() -> None:
             if isinstance(node, ast.Constant) and re.match(r'/[A-Za-z]', str(node.value)):
                 known = node.value in GLOBAL_TOPICS or node in inner
                 assert known, f'{short(path)}:{node.lineno}: {node.value}'
-
-
-def test_files_are_short() -> None:
-    limits = dict.fromkeys(MODULES, LONGEST_FILE)
-    limits |= dict.fromkeys((ROOT / 'scripts').glob('*.py'), LONGEST_SCRIPT)
-    lengths = {path: path.read_text(encoding='utf-8').count('\n') for path in limits}
-    long = {short(path): lengths[path] for path in limits if lengths[path] > limits[path]}
-    assert long == {}
 
 
 def public(node: ast.AST, prefix: str = '') -> Iterator[tuple[str, Any]]:
@@ -260,12 +165,17 @@ def public(node: ast.AST, prefix: str = '') -> Iterator[tuple[str, Any]]:
                 yield from public(child, f'{child.name}.')
 
 
+def is_compiled(node: Any) -> bool:
+    """Return whether a function is compiled, whose types numba finds."""
+    return any(isinstance(d, ast.Name) and d.id == 'compiled' for d in node.decorator_list)
+
+
 @pytest.mark.parametrize('path', MODULES, ids=short)
 def test_whatever_is_public_says_what_it_is_and_returns(path: Path) -> None:
     assert ast.get_docstring(tree(path)), 'the module says nothing'
     for name, node in public(tree(path)):
         assert ast.get_docstring(node), f'{name} has no docstring'
-        if not isinstance(node, ast.ClassDef) and layer_of(path) != 'sim/kernels':
+        if not isinstance(node, ast.ClassDef) and not is_compiled(node):
             assert node.returns is not None, f'{name} does not say what it returns'
 
 

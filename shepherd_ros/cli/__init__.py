@@ -8,11 +8,8 @@ import os
 import sys
 from typing import Any
 
+from shepherd_ros.cli.errors import UserError
 from shepherd_ros.config import ConfigError
-
-
-class UserError(Exception):
-    """A mistake of the user's or of the machine: what, what was expected, what to do."""
 
 
 @dataclass

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, TYPE_CHECKING
 
-from shepherd_ros.cli import UserError
+from shepherd_ros.cli.errors import UserError
 import tyro
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Annotated
 
-from shepherd_ros.cli import UserError
+from shepherd_ros.cli.errors import UserError
 import tyro
 
 CheckpointName = tyro.conf.Positional[str]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-from shepherd_ros.cli import UserError
+from shepherd_ros.cli.errors import UserError
 from shepherd_ros.config import Config, mapping, unknown_name
 import yaml
 

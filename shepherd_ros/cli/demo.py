@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from shepherd_ros.bringup import checkpoint_for, herding_stack
-from shepherd_ros.cli import UserError
+from shepherd_ros.cli.errors import UserError
 from shepherd_ros.cli.processes import isolate, Running, running
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
 from rich.progress import Progress, TimeElapsedColumn, TimeRemainingColumn
-from shepherd_ros.cli import UserError
 from shepherd_ros.cli.code import commit
+from shepherd_ros.cli.errors import UserError
 import tyro
 
 if TYPE_CHECKING:

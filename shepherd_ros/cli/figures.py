@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from shepherd_ros.cli import UserError
+from shepherd_ros.cli.errors import UserError
 import tyro
 
 

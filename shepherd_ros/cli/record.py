@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal, TYPE_CHECKING
 
 from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
-from shepherd_ros.cli import UserError
+from shepherd_ros.cli.errors import UserError
 
 if TYPE_CHECKING:
     from shepherd_ros.controllers.base import Controller

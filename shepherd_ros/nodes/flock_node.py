@@ -10,9 +10,10 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes.flock_commands import CommandGate
+from shepherd_ros.nodes.flock_pacing import Pacing
 from shepherd_ros.nodes.flock_parameters import declare_world
 from shepherd_ros.nodes.flock_publishers import WorldOutput
-from shepherd_ros.nodes.flock_services import FlockServices, LARGEST_SEED
+from shepherd_ros.nodes.flock_requests import FlockRequests, LARGEST_SEED
 from shepherd_ros.ros.node import OK, ShepherdNode, WARN
 from shepherd_ros.ros.parameters import declare
 from shepherd_ros.ros.runtime import run
@@ -27,7 +28,6 @@ from torch import Tensor
 MODES = ('lockstep', 'realtime')
 LOWEST_RATE = 0.001  # [1/s]
 WATCH_PERIOD = 0.05  # [s] wall time between two looks at who is silent
-SETTLED = 0.2  # [s] wall time without a new reader after which the first step may be made
 PAUSED_RESEND = 1.0  # [s] wall time after which a paused world shows its state again
 
 
@@ -71,8 +71,6 @@ class FlockSim(ShepherdNode):
         self.patience: float = self.option(
             'silence_warning', 2.0, 'lockstep: name a silent shepherd after [s]', low=0.1
         )
-        self.paused = False
-        self.steps_left = 0  # steps to make although paused
         self.number = -1
         self.next_seed = self.seed
         self.dt_ns = round(self.world.dt * 1e9)
@@ -81,12 +79,12 @@ class FlockSim(ShepherdNode):
         self.pending_goal: Tensor | None = None
         self.sent = 0.0
         self.steps_made = 0
-        self.settled = False
-        self.readers, self.reader_came = 0, self.wall()
+        self.pacing = Pacing(self.wall())
         self.output = WorldOutput(self)
         self.gate = CommandGate(self, self.on_answers)
-        self.requests = FlockServices(self)
-        self.listen('goal_pose', self.on_goal_pose)
+        self.requests = FlockRequests(
+            self, self.pacing, self.begin_episode, self.move_goal, self.resume
+        )
         self.begin_episode()
         self.ticker = self.timer(self.period, self.on_tick) if self.mode == 'realtime' else None
         self.timer(WATCH_PERIOD, self.watch)
@@ -99,8 +97,8 @@ class FlockSim(ShepherdNode):
 
     # ---- the course of an episode ----
 
-    def begin_episode(self, seed: int | None = None) -> None:
-        """Start the next episode, with the next seed or a given one."""
+    def begin_episode(self, seed: int | None = None) -> Episode:
+        """Start the next episode, with the next seed or a given one, and return it."""
         seed = self.next_seed if seed is None else seed
         self.next_seed, self.number = seed + 1, self.number + 1
         self.now_ns += self.dt_ns
@@ -130,6 +128,7 @@ class FlockSim(ShepherdNode):
             f'{self.world.episode_steps} steps of {self.world.dt:g} s, {self.mode}'
         )
         self.publish_state()
+        return self.episode
 
     def advance(self, command: Tensor) -> None:
         """Make one step with commands (H, 2) m/s, or begin the next episode after the last."""
@@ -159,42 +158,26 @@ class FlockSim(ShepherdNode):
 
     def on_answers(self) -> None:
         """In lockstep: every shepherd has answered."""
-        if self.mode == 'lockstep' and self.may_move():
+        if self.mode == 'lockstep' and not self.finished and self.pacing.may_move():
             self.advance(self.gate.commands.velocity)
 
     def on_tick(self) -> None:
         """In realtime: it is time for a step."""
-        if self.may_move():
+        if not self.finished and self.pacing.may_move():
             self.advance(self.gate.commands.held(self.gate.watchdog_steps))
-
-    def may_move(self) -> bool:
-        """Return whether a step may be made now, and count it if only some may."""
-        if self.finished or not self.settled:
-            return False
-        if self.paused and self.steps_left == 0:
-            return False
-        self.steps_left = max(self.steps_left - 1, 0)
-        return True
 
     def resume(self) -> None:
         """Go on after a pause was lifted or steps were asked for."""
         if self.mode == 'lockstep' and self.gate.complete:
             self.on_answers()
 
-    def settle(self) -> None:
-        """Keep the first state until all who are there have heard it: DDS finds them by and by."""
-        readers, now = self.output.readers(), self.wall()
-        if readers != self.readers:
-            self.readers, self.reader_came = readers, now
-            self.publish_state(again=True)
-        elif now - self.reader_came > SETTLED:
-            self.settled = True
-            self.resume()
-
     def watch(self) -> None:
         """In lockstep: show a state again that was not answered, and name who is silent."""
-        if not self.settled:
-            self.settle()
+        if not self.pacing.settled:
+            if self.pacing.settle(self.output.readers(), self.wall()):
+                self.publish_state(again=True)
+            elif self.pacing.settled:
+                self.resume()
         if self.finished or self.mode != 'lockstep':
             return
         waited = self.wall() - self.sent
@@ -226,23 +209,8 @@ class FlockSim(ShepherdNode):
         """Move the goal before the next state is published; at once in a paused world."""
         self.get_logger().info(f'goal moves to {x:g}, {y:g} m')
         self.pending_goal = torch.tensor([x, y], dtype=torch.float32)
-        if self.paused and self.steps_left == 0:
+        if self.pacing.resting:
             self.set_goal(self.pending_goal)
-
-    def on_goal_pose(self, message: Any) -> None:
-        """Move the goal to a published pose, if its frame is ours."""
-        position, frame_id = message.pose.position, message.header.frame_id
-        if frame_id != self.frame_id:
-            self.get_logger().warning(
-                f'goal_pose is in frame {frame_id!r}, expected {self.frame_id!r}: ignored; set '
-                f'the fixed frame of your tool to {self.frame_id!r}'
-            )
-        elif not torch.tensor([position.x, position.y]).isfinite().all():
-            self.get_logger().warning(
-                f'goal_pose is {position.x}, {position.y}: expected finite numbers, ignored'
-            )
-        else:
-            self.move_goal(position.x, position.y)
 
     # ---- parameters and diagnostics ----
 
@@ -264,8 +232,8 @@ class FlockSim(ShepherdNode):
         rate, self.steps_made = self.steps_made, 0
         episode = self.status(
             'episode',
-            WARN if self.paused else OK,
-            'paused' if self.paused else 'running',
+            WARN if self.pacing.paused else OK,
+            'paused' if self.pacing.paused else 'running',
             episode=self.number,
             seed=self.episode.seed,
             step=int(self.state.step),

@@ -152,7 +152,7 @@ def test_nodes_that_join_a_paused_world_late_get_its_state(graph: Graph) -> None
     sim = graph.host('flock_sim', n_sheep=20, n_shepherds=2)
     idle = graph.host('idle')
     graph.until(lambda: int(sim.state.step) > 3, 'a few steps')
-    sim.paused = True
+    sim.pacing.paused = True
     graph.until(lambda: sim.gate.complete, 'all answers to the state that stands')
     step = int(sim.state.step)
     track = graph.track()

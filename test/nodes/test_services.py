@@ -122,8 +122,8 @@ def test_step_makes_so_many_steps_and_no_more(graph: Graph, sim: Any) -> None:
 
 def test_step_pauses_a_running_world(graph: Graph, sim: Any) -> None:
     graph.call_named('flock_sim/step', n=2)
-    graph.until(lambda: sim.steps_left == 0 and sim.gate.complete, 'two steps')
-    assert sim.paused
+    graph.until(lambda: sim.pacing.steps_left == 0 and sim.gate.complete, 'two steps')
+    assert sim.pacing.paused
     now = sim.now_ns
     graph.idle(0.1)
     assert sim.now_ns == now
@@ -137,7 +137,7 @@ def test_a_world_in_realtime_can_be_paused_and_stepped_too(graph: Graph) -> None
     graph.idle(0.1)
     assert sim.now_ns == now
     graph.call_named('flock_sim/step', n=5)
-    graph.until(lambda: sim.steps_left == 0, 'five steps')
+    graph.until(lambda: sim.pacing.steps_left == 0, 'five steps')
     graph.idle(0.1)
     assert sim.now_ns == now + 5 * sim.dt_ns
     pause(graph, False)
@@ -295,7 +295,7 @@ def test_bad_arguments_are_refused_with_value_and_expectation_and_change_nothing
     for success, reason in results:
         assert not success
         assert re.search(pattern, reason), reason
-    assert not sim.paused
+    assert not sim.pacing.paused
     assert sim.number == 0
     assert sim.state.goal.tolist() == [0.0, 0.0]
     now = sim.now_ns

@@ -1,35 +1,43 @@
 """
-The services of flock_sim: ~/reset, ~/pause, ~/step and ~/move_goal.
+Requests to flock_sim: services ~/reset, ~/pause, ~/step and ~/move_goal, and topic goal_pose.
 
-Only standard types: those with arguments are rcl_interfaces/srv/SetParameters, whose request is a
-list of named, typed values and whose answer has a success and a reason for each.
+Only standard types: services with arguments are rcl_interfaces/srv/SetParameters, whose request is
+a list of named, typed values and whose answer has a success and a reason for each.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 import math
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import parameter_value_to_python
 from shepherd_ros.config import ConfigError
+from shepherd_ros.nodes.flock_pacing import Pacing
 from shepherd_ros.ros.messages import LARGEST_FLOAT32
+from shepherd_ros.ros.node import ShepherdNode
+from shepherd_ros.wire.episode import Episode
 from std_srvs.srv import SetBool
-
-if TYPE_CHECKING:
-    from shepherd_ros.nodes.flock_node import FlockSim
 
 LARGEST_SEED = 2**62  # episodes count up from there in 64 bits
 
 
-class FlockServices:
-    """Offers the services and carries them out."""
+class FlockRequests:
+    """Offers the services, hears goal_pose and calls what carries them out."""
 
-    def __init__(self, node: FlockSim) -> None:
-        """Create the services."""
-        self.node = node
+    def __init__(
+        self,
+        node: ShepherdNode,
+        pacing: Pacing,
+        begin_episode: Callable[[int | None], Episode],
+        move_goal: Callable[[float, float], None],
+        resume: Callable[[], None],
+    ) -> None:
+        """Create the services and the subscription of a node."""
+        self.node, self.pacing = node, pacing
+        self.begin_episode, self.set_goal, self.resume = begin_episode, move_goal, resume
         for name, action in (
             ('reset', self.reset),
             ('step', self.step),
@@ -37,6 +45,7 @@ class FlockServices:
         ):
             node.create_service(SetParameters, f'~/{name}', self._named_arguments(name, action))
         node.create_service(SetBool, '~/pause', self.pause)
+        node.listen('goal_pose', self.on_goal_pose)
 
     def _named_arguments(self, name: str, action: Any) -> Any:
         """Return a callback that reads named arguments and answers with one result for each."""
@@ -58,16 +67,16 @@ class FlockServices:
         (seed,) = _take(given, {'seed': int}, required=False)
         if seed is not None and abs(seed) > LARGEST_SEED:
             raise ConfigError(f'seed is {seed}: expected at most {LARGEST_SEED}, also negative')
-        self.node.begin_episode(seed)
-        return f'episode {self.node.number}, seed {self.node.episode.seed}'
+        episode = self.begin_episode(seed)
+        return f'episode {episode.number}, seed {episode.seed}'
 
     def step(self, given: Mapping[str, Any]) -> str:
         """Make n steps (integer, 1 by default), then pause."""
         (n,) = _take(given, {'n': int}, required=False)
         if n is not None and n < 1:
             raise ConfigError(f'n is {n}: expected at least 1')
-        self.node.paused, self.node.steps_left = True, n or 1
-        self.node.resume()
+        self.pacing.pause(True, n or 1)
+        self.resume()
         return f'{n or 1} steps, then paused'
 
     def move_goal(self, given: Mapping[str, Any]) -> str:
@@ -75,13 +84,29 @@ class FlockServices:
         x, y = _take(given, {'x': float, 'y': float}, required=True)
         if max(abs(x), abs(y)) > LARGEST_FLOAT32:
             raise ConfigError(f'goal is {x:g}, {y:g} m: expected numbers that float32 can hold')
-        self.node.move_goal(x, y)
+        self.set_goal(x, y)
         return f'goal moves to {x:g}, {y:g} m'
+
+    def on_goal_pose(self, message: Any) -> None:
+        """Move the goal to a published pose, if its frame is the node's."""
+        position, frame_id = message.pose.position, message.header.frame_id
+        expected, log = self.node.frame_id, self.node.get_logger()
+        if frame_id != expected:
+            log.warning(
+                f'goal_pose is in frame {frame_id!r}, expected {expected!r}: ignored; set '
+                f'the fixed frame of your tool to {expected!r}'
+            )
+        elif not all(abs(part) <= LARGEST_FLOAT32 for part in (position.x, position.y)):
+            log.warning(
+                f'goal_pose is {position.x}, {position.y}: expected finite numbers, ignored'
+            )
+        else:
+            self.set_goal(position.x, position.y)
 
     def pause(self, request: Any, response: Any) -> Any:
         """Pause on true, go on on false."""
-        self.node.paused, self.node.steps_left = request.data, 0
-        self.node.resume()
+        self.pacing.pause(request.data)
+        self.resume()
         response.success, response.message = True, 'paused' if request.data else 'running'
         return response
 

@@ -1,0 +1,85 @@
+"""The rooms of CONTRIBUTING.md: floors, who may import what, no circles."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+
+import pytest
+import tomllib
+
+grimp = pytest.importorskip('grimp')
+pytest.importorskip('importlinter')
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / 'pyproject.toml').read_text(encoding='utf-8'))
+CONTRACTS = PROJECT['tool']['importlinter']['contracts']
+LINT = 'import sys, importlinter.cli as cli; sys.exit(cli.lint_imports_command())'
+
+
+def lint(folder: Path) -> subprocess.CompletedProcess[str]:
+    """Return what import-linter says of the code in a folder."""
+    command = [sys.executable, '-c', LINT, '--no-cache', '--no-logo']
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True)
+
+
+@pytest.fixture(scope='module')
+def graph() -> grimp.ImportGraph:
+    """Return who imports whom, packages of others included."""
+    return grimp.build_graph('shepherd_ros', include_external_packages=True, cache_dir=None)
+
+
+def test_rooms_import_only_what_they_may() -> None:
+    done = lint(ROOT)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    ('file', 'line', 'contract'),
+    [
+        ('sim/spawn.py', 'import shepherd_ros.policy.network', 'floors'),
+        ('new_room.py', '', 'floors'),
+        ('sim/transition.py', 'import shepherd_ros.sim.env', 'circles'),
+        ('view/track.py', 'import torch', 'without-torch'),
+        ('view/track.py', 'from shepherd_ros.sim.state import WorldState', 'without-torch'),
+        ('recordings/info.py', 'import rclpy', 'ros'),
+        ('sim/world.py', 'from sensor_msgs.msg import LaserScan', 'ros'),
+        ('nodes/policy_node.py', 'import shepherd_ros.rosbag2.reader', 'bags'),
+        ('learning/ppo.py', 'def late():\n    import mcap', 'mcap'),
+    ],
+)
+def test_a_forbidden_import_is_found(tmp_path: Path, file: str, line: str, contract: str) -> None:
+    ignored = shutil.ignore_patterns('__pycache__')
+    shutil.copytree(ROOT / 'shepherd_ros', tmp_path / 'shepherd_ros', ignore=ignored)
+    shutil.copy(ROOT / 'pyproject.toml', tmp_path)
+    with (tmp_path / 'shepherd_ros' / file).open('a', encoding='utf-8') as code:
+        code.write(f'\n{line}\n')
+    done = lint(tmp_path)
+    (name,) = (rule['name'] for rule in CONTRACTS if rule['id'] == contract)
+    assert done.returncode == 1
+    assert f'{name} BROKEN' in done.stdout.splitlines(), done.stdout + done.stderr
+
+
+def test_no_file_imports_itself_through_others(graph: grimp.ImportGraph) -> None:
+    circles = [
+        chain
+        for name in sorted(graph.modules)
+        for imported in sorted(graph.find_modules_directly_imported_by(name))
+        for chain in [graph.find_shortest_chain(imported, name)]
+        if chain
+    ]
+    assert circles == []
+
+
+def test_nothing_may_import_what_it_does_not(graph: grimp.ImportGraph) -> None:
+    for rule in CONTRACTS:
+        for importer in rule.get('allowed_importers', ()):
+            files = {importer, *graph.find_descendants(importer)}
+            used = {i for file in files for i in graph.find_modules_directly_imported_by(file)}
+            assert any(
+                name == package or name.startswith(f'{package}.')
+                for name in used
+                for package in rule['protected_modules']
+            ), f'{importer} imports nothing of {rule["id"]}'
