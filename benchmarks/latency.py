@@ -16,16 +16,17 @@ import struct
 import tempfile
 import time
 
-from shepherd_ros.bringup import checkpoint_for, herding_stack
+from shepherd_ros.bringup import herding_stack
 from shepherd_ros.cli.processes import isolate, running
 from shepherd_ros.policy.checkpoint import load_policy
+from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.lidar import CHANNELS
 import torch
 
 
 def bare(shepherds: int, seconds: float) -> list[float]:
     """Return times of the network's answers to one batch [ms]."""
-    policy = load_policy(checkpoint_for('strombom'))
+    policy = load_policy(StrombomFlock.checkpoint)
     frames = torch.rand(shepherds, policy.config.observation.n_frames, 3, 512) * 7
     x = policy.arranged(frames, policy.first_ray(frames[:, -1]))
     times, end = [], time.perf_counter() + seconds

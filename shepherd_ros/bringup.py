@@ -43,15 +43,6 @@ def herding_stack(
     ]
 
 
-# flock model -> the shipped checkpoint that was trained for it
-TRAINED_FOR = {'strombom': 'imitation', 'reynolds': 'reynolds'}
-
-
-def checkpoint_for(flock: str) -> str:
-    """Return the shipped checkpoint for a flock model, that of Strömbom's for a new one."""
-    return TRAINED_FOR.get(flock, TRAINED_FOR['strombom'])
-
-
 def commanded(
     controller: str, n_shepherds: int, flock_sim: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
@@ -64,7 +55,9 @@ def commanded(
     world = flock_sim or {}
     if controller != 'policy':
         return {'preset': world['preset']} if 'preset' in world else {}
-    checkpoint = checkpoint_for(world.get('flock', 'strombom'))
+    from shepherd_ros.sim.flocking import FLOCK_MODELS  # with torch, which takes a second
+
+    checkpoint = FLOCK_MODELS[world.get('flock', 'strombom')].config.checkpoint
     return {'shepherd_ids': list(range(n_shepherds)), 'checkpoint': checkpoint}
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 import difflib
 import math
@@ -21,11 +21,22 @@ def option(
     *,
     low: float | None = None,
     high: float | None = None,
-    choices: tuple[str, ...] | None = None,
+    choices: Iterable[str] | Callable[[], Iterable[str]] = (),
 ) -> Any:
-    """Return a dataclass field with a default, a sentence and the closed range it may lie in."""
+    """
+    Return a dataclass field with a default, a sentence and the closed range it may lie in.
+
+    choices are called when they are needed if they can be: the names of a registry are not known
+    while modules are imported.
+    """
     metadata = {'doc': doc, 'low': low, 'high': high, 'choices': choices}
     return field(default=default, metadata=metadata)
+
+
+def choices_of(metadata: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the values that an option may have, none if it may have any."""
+    choices = metadata.get('choices', ())
+    return tuple(choices() if callable(choices) else choices)
 
 
 def unknown_name(kind: str, name: object, known: list[str] | tuple[str, ...]) -> ConfigError:
@@ -57,8 +68,8 @@ def checked(name: str, value: Any, default: Any, metadata: Mapping[str, Any]) ->
     if (low is not None and value < low) or (high is not None and value > high):
         interval = f'[{"-inf" if low is None else low}, {"inf" if high is None else high}]'
         raise ConfigError(f'{name} is {value}: expected a value in {interval}, such as {default}')
-    choices = metadata.get('choices')
-    if choices is not None and value not in choices:
+    choices = choices_of(metadata)
+    if choices and value not in choices:
         raise unknown_name(name, value, choices)
     return value
 

@@ -8,7 +8,6 @@ import pytest
 import rclpy
 from rclpy.context import Context
 from shepherd_ros.bringup import (
-    checkpoint_for,
     commanded,
     herding_stack,
     LAUNCH_ARGUMENTS,
@@ -16,7 +15,6 @@ from shepherd_ros.bringup import (
     REPLAY_ARGUMENTS,
     replay_values,
     ReplayValues,
-    TRAINED_FOR,
 )
 from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
@@ -27,6 +25,7 @@ from shepherd_ros.nodes.defaults import parameter_file, WITH_FILE
 from shepherd_ros.policy.checkpoint import shipped_checkpoints
 from shepherd_ros.resources import share_file
 from shepherd_ros.sim.flocking import FLOCK_MODELS
+from shepherd_ros.sim.flocking.base import FlockConfig
 from shepherd_ros.sim.presets import PRESETS
 from shepherd_ros.wire.topics import renamed_topics
 import yaml
@@ -64,9 +63,8 @@ def test_the_stack_has_a_lidar_for_each_shepherd_and_distinct_names() -> None:
     # its own default is the first shepherd alone
     assert learned.parameters == {'shepherd_ids': [0, 1], 'checkpoint': 'imitation'}
     assert commanded('policy', 1, {'flock': 'reynolds'})['checkpoint'] == 'reynolds'
-    assert checkpoint_for('a new one') == 'imitation'
-    assert set(TRAINED_FOR.values()) <= set(shipped_checkpoints())
-    assert set(TRAINED_FOR) == set(FLOCK_MODELS)
+    assert FlockConfig.checkpoint == 'imitation'  # of a new model
+    assert {m.config.checkpoint for m in FLOCK_MODELS.values()} <= set(shipped_checkpoints())
     stack = herding_stack('pierson', 5, n_sheep=7, wait_for_scans=True)
     assert [p.executable for p in stack].count('lidar') == 5
     assert len({p.name for p in stack}) == len(stack) == 8

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import field, fields, make_dataclass
 from typing import Annotated, Any, Literal, TypeVar
 
-from shepherd_ros.config import Config
+from shepherd_ros.config import choices_of, Config
 import tyro
 
 C = TypeVar('C', bound=Config)
@@ -23,8 +23,8 @@ def arguments_of(default: Config, hidden: tuple[str, ...] = ()) -> type[Any]:
             rows.append((f.name, nested, field(default_factory=nested)))
             continue
         kind: Any = type(value)
-        if f.metadata.get('choices'):
-            kind = Literal[tuple(f.metadata['choices'])]
+        if choices := choices_of(f.metadata):
+            kind = Literal[choices]
         argument = tyro.conf.arg(help=f.metadata.get('doc', ''))
         rows.append((f.name, Annotated[kind, argument], value))
     return make_dataclass(type(default).__name__, rows, namespace={'__doc__': default.__doc__})

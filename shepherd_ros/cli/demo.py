@@ -12,7 +12,7 @@ from typing import Any, TYPE_CHECKING
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
-from shepherd_ros.bringup import checkpoint_for, herding_stack
+from shepherd_ros.bringup import herding_stack
 from shepherd_ros.cli.errors import UserError
 from shepherd_ros.cli.processes import isolate, Running, running
 
@@ -71,7 +71,7 @@ class Demo:
         controller_type(self.controller)
         world = world_preset(self.preset, self.flock)
         if self.controller == 'policy':  # it may have been trained with another time step
-            make_controller(self.controller, world, checkpoint=checkpoint_for(self.flock))
+            make_controller(self.controller, world, checkpoint=world.flock.checkpoint)
         for name, value, least in (
             ('sheep', self.sheep, 1), ('shepherds', self.shepherds, 1), ('steps', self.steps, 1)
         ):  # fmt: skip

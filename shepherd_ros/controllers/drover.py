@@ -28,12 +28,9 @@ from shepherd_ros.controllers.formation import (
     way_round,
     WHOLE,
 )
-from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
-from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.reward import distance_to_rim
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, masked_mean, wrap
-from shepherd_ros.sim.world import WorldConfig
 import torch
 from torch import Tensor
 
@@ -108,14 +105,6 @@ WIDE = Ring(0.45, 2)  # about sheep that rest when nobody is near
 NARROW = Ring(-0.15, 3)  # about sheep that never rest
 
 
-def notice_range(world: WorldConfig) -> float:
-    """Return how near a shepherd has to be for a sheep to react [m]."""
-    flock = world.flock
-    if isinstance(flock, StrombomFlock):
-        return flock.shepherd_range
-    return flock.view_range if isinstance(flock, ReynoldsFlock) else 10.0
-
-
 def share_inside(seen: WorldState) -> Tensor:
     """Return the share of the flock in the goal, (..., 1)."""
     inside = (distance_to_rim(seen) <= 0) & seen.sheep_mask
@@ -132,9 +121,9 @@ class DroverController(Controller):
         """Choose how to drive the flock of the world."""
         super().__init__(*args, **options)
         config: DroverConfig = self.config
-        self.restless = isinstance(self.world.flock, ReynoldsFlock)
+        self.restless = self.world.flock.restless
         ring = NARROW if self.restless else WIDE
-        self.notice = config.notice or notice_range(self.world)
+        self.notice = config.notice or self.world.flock.notice_range
         self.pace = 1.0 if self.restless else config.stroll
         self.reach, self.least = config.reach or ring.reach, ring.least
 

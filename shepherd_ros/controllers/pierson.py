@@ -15,7 +15,6 @@ from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.controllers.base import Controller, Memory, places_on_arc
 from shepherd_ros.controllers.pierson_compiled import pierson_act
 from shepherd_ros.sim.compiled import usable
-from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.metrics import flock_spread
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, wrap
@@ -99,8 +98,7 @@ class PiersonController(Controller):
             self.world.flock,
             memory['heading'],
         )
-        notice = flock.shepherd_range if isinstance(flock, StrombomFlock) else 65 / 3
-        max_radius = max(config.max_radius or 0.75 * notice, config.min_radius)
+        max_radius = max(config.max_radius or 0.75 * flock.arc_range, config.min_radius)
         gain = config.tracking_gain or min(1 / world.dt, 2.0)
         pace = max(flock.speed, 1e-9)
         if usable(seen.sheep, seen.shepherds, heading):

@@ -15,7 +15,6 @@ from shepherd_ros.config import Config, option
 from shepherd_ros.controllers.base import Controller, Memory, places_on_arc
 from shepherd_ros.controllers.strombom_compiled import strombom_act
 from shepherd_ros.sim.compiled import usable
-from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.rng import direction, Stream
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import bearing, from_bearing, unit, wrap
@@ -61,9 +60,7 @@ class StrombomController(Controller):
     @property
     def interaction_range(self) -> float:
         """Return r in metres."""
-        flock = self.world.flock
-        own = flock.sheep_range if isinstance(flock, StrombomFlock) else 1.0
-        return float(self.config.interaction_range or own)
+        return float(self.config.interaction_range or self.world.flock.repulsion_range)
 
     def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return commands, (..., H, 2) m/s."""

@@ -25,7 +25,7 @@ from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.validation import judge
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
-from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
+from shepherd_ros.sim.flocking import model_of
 from shepherd_ros.sim.observation import turned
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.state import WorldState
@@ -69,6 +69,11 @@ class DaggerConfig(Config):
         ):
             full_name(name)
 
+    def teachers(self, flock: str) -> tuple[str, str]:
+        """Return the teacher for a flock model, and that for one that is home if another is."""
+        here, home = f'{flock}_teacher', f'{flock}_home_teacher'
+        return getattr(self, here, self.teacher), getattr(self, home, '')
+
 
 def _teacher(name: str, world: WorldConfig) -> Controller:
     """Return the controller of this name."""
@@ -94,10 +99,8 @@ class Lesson:
         """Start an episode with new memories."""
         self.group.begin(steps)
         world = self.group.config.world
-        reynolds = isinstance(world.flock, ReynoldsFlock)
-        config = self.config
-        self.teacher = _teacher(config.reynolds_teacher if reynolds else config.teacher, world)
-        at_home = config.reynolds_home_teacher if reynolds else ''
+        teacher, at_home = self.config.teachers(model_of(world.flock).name)
+        self.teacher = _teacher(teacher, world)
         self.home_teacher = _teacher(at_home, world) if at_home else None
         self.learner = LearnedController(LearnedConfig(), world, self.policy, self.dtype)
         self.taught = self.teacher.begin(self.group.state)

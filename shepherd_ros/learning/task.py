@@ -7,7 +7,7 @@ import random
 
 from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.sim.env import EnvConfig
-from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.flocking import BOTH, FLOCK_MODELS
 from shepherd_ros.sim.presets import home_world, training_world, world_preset
 from shepherd_ros.sim.world import WorldConfig
 
@@ -22,7 +22,9 @@ class TaskConfig(Config):
 
     preset: str = option('default', 'named setting of time step and flock')
     flock: str = option(
-        'strombom', 'flock model, or both', choices=('strombom', 'reynolds', 'both')
+        'strombom',
+        'flock model, or both of the paper',
+        choices=lambda: (*FLOCK_MODELS, 'both'),
     )
     sheep_min: int = option(100, 'fewest sheep', low=1, high=10_000)
     sheep_max: int = option(100, 'most sheep', low=1, high=10_000)
@@ -35,8 +37,8 @@ class TaskConfig(Config):
     shepherds_max: int = option(6, 'most shepherds', low=1, high=100)
     goal_radius_min: float = option(4.0, 'smallest goal [m]', low=0.01)
     goal_radius_max: float = option(8.0, 'largest goal [m]', low=0.01)
-    repulsion_min: float = option(2.0, 'least rho_a of a Strömbom flock', low=0.0)
-    repulsion_max: float = option(2.0, 'greatest rho_a of a Strömbom flock', low=0.0)
+    repulsion_min: float = option(2.0, 'least rho_a of a flock that has one', low=0.0)
+    repulsion_max: float = option(2.0, 'greatest rho_a of a flock that has one', low=0.0)
     noise_max: float = option(0.0, 'noise on perceived positions is between 0 and this [m]', low=0)
     home_share: float = option(
         0.0,
@@ -58,12 +60,17 @@ class TaskConfig(Config):
                 raise ConfigError(f'{name}_min is {low}: expected at most {name}_max, {high}')
         world_preset(self.preset)
 
+    @property
+    def flocks(self) -> tuple[str, ...]:
+        """Return the flock models that are trained on."""
+        return BOTH if self.flock == 'both' else (self.flock,)
+
 
 def draw_environment(task: TaskConfig, seed: int) -> EnvConfig:
     """Return the environment of one episode, the same for the same seed."""
     draw = random.Random(seed)
     # every number is drawn whether it is used or not, so that options do not shift each other
-    flock = draw.choice(('strombom', 'reynolds'))
+    flock = draw.choice(BOTH)
     sheep = draw.randint(task.sheep_min, task.sheep_max)
     repulsion = draw.uniform(task.repulsion_min, task.repulsion_max)
     noise = draw.uniform(0.0, task.noise_max)
@@ -74,9 +81,8 @@ def draw_environment(task: TaskConfig, seed: int) -> EnvConfig:
         sheep = min(int(task.sheep_min * ratio**share), task.sheep_max)
     base = base_world(task, flock if task.flock == 'both' else task.flock)
     base = home_world(base) if at_home else base
-    flock_config = base.flock
-    if isinstance(flock_config, StrombomFlock):
-        flock_config = replace(flock_config, sheep_repulsion=repulsion)
+    weight = base.flock.repulsion_option
+    flock_config = replace(base.flock, **({weight: repulsion} if weight else {}))
     return EnvConfig(noise_std=noise, world=replace(base, n_sheep=sheep, flock=flock_config))
 
 

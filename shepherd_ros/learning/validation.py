@@ -33,11 +33,10 @@ def judge(
 
     `score` is what checkpoints are chosen by: the return, and the fraction in the goal at the end.
     """
-    flocks = ('strombom', 'reynolds') if task.flock == 'both' else (task.flock,)
     sizes = judged_sizes(task)
-    count = max(episodes // (len(flocks) * len(sizes)), 1)
+    count = max(episodes // (len(task.flocks) * len(sizes)), 1)
     results = []
-    for flock, sheep in product(flocks, sizes):
+    for flock, sheep in product(task.flocks, sizes):
         world = base_world(task, flock)
         world = replace(
             world,

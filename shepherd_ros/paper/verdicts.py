@@ -24,6 +24,7 @@ from shepherd_ros.paper.claims import (
 )
 from shepherd_ros.paper.curves import Curve, judge_curve
 from shepherd_ros.paper.statements import CLAIMS
+from shepherd_ros.sim.flocking import BOTH
 
 MAPS = 20  # starts of which the critic's values are looked at
 
@@ -54,7 +55,7 @@ def trained_on(policy: str) -> set[str]:
     """Return the flocks that a policy was trained with, as its checkpoint says."""
     task = training_of(policy).get('task')
     flock = task.get('flock') if isinstance(task, dict) else None
-    return {'strombom', 'reynolds'} if flock == 'both' else {str(flock)}
+    return set(BOTH) if flock == 'both' else {str(flock)}
 
 
 def as_the_paper(policy: str, flock: str) -> bool:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
-from shepherd_ros.config import checked, Config, ConfigError
+from shepherd_ros.config import checked, choices_of, Config, ConfigError
 
 C = TypeVar('C', bound=Config)
 _LARGEST_INT = 2**62
@@ -20,8 +20,8 @@ _LARGEST_FLOAT = 1e12
 def descriptor(default: Any, option: Mapping[str, Any], read_only: bool) -> ParameterDescriptor:
     """Return description and range of a parameter, as `ros2 param describe` shows them."""
     result = ParameterDescriptor(description=option['doc'], read_only=read_only)
-    low, high, choices = option.get('low'), option.get('high'), option.get('choices')
-    if choices:
+    low, high = option.get('low'), option.get('high')
+    if choices := choices_of(option):
         result.additional_constraints = 'one of ' + ', '.join(choices)
     bounded = low is not None or high is not None
     if bounded and isinstance(default, float):

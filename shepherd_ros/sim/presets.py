@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from shepherd_ros.config import unknown_name
-from shepherd_ros.sim.flocking import flock_model
+from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.world import WorldConfig
 
 
@@ -86,7 +86,7 @@ def world_preset(name: str = 'default', flock: str = 'strombom') -> WorldConfig:
     if name not in PRESETS:
         raise unknown_name('preset', name, sorted(PRESETS))
     preset = PRESETS[name]
-    config = flock_model(flock).config(**preset.flock.get(flock, {}))
+    config = FLOCK_MODELS[flock].config(**preset.flock.get(flock, {}))
     return WorldConfig(dt=preset.dt, flock=config)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from shepherd_ros.config import Config, ConfigError, mapping, option, part
-from shepherd_ros.sim.flocking import flock_model, model_of
+from shepherd_ros.sim.flocking import FLOCK_MODELS, model_of
 from shepherd_ros.sim.flocking.base import FlockConfig
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
 
@@ -84,6 +84,6 @@ class WorldConfig(Config):
         """Return the configuration that to_dict() gave, or raise ConfigError."""
         values = dict(data)
         flock = dict(mapping('flock', values.pop('flock', {})))
-        model = flock_model(flock.pop('model', 'strombom'))
+        model = FLOCK_MODELS[flock.pop('model', 'strombom')]
         world = super().from_dict(values)
         return replace(world, flock=model.config.from_dict(flock))

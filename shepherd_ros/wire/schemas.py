@@ -10,7 +10,7 @@ import re
 import sys
 from typing import Any
 
-from shepherd_ros.config import Config, unknown_name
+from shepherd_ros.config import choices_of, Config, unknown_name
 from shepherd_ros.resources import share_file
 from shepherd_ros.wire.topics import contract
 
@@ -102,7 +102,8 @@ def config_schema(config: type[Config], **extra: Any) -> dict[str, Any]:
 def _option_schema(default: Any, metadata: Any) -> dict[str, Any]:
     kinds = {bool: 'boolean', int: 'integer', float: 'number', str: 'string'}
     schema: dict[str, Any] = {'description': metadata['doc'], 'type': kinds[type(default)]}
-    for key, limit in (('minimum', 'low'), ('maximum', 'high'), ('enum', 'choices')):
+    for key, limit in (('minimum', 'low'), ('maximum', 'high')):
         if metadata.get(limit) is not None:
-            schema[key] = list(metadata[limit]) if key == 'enum' else metadata[limit]
-    return schema
+            schema[key] = metadata[limit]
+    choices = choices_of(metadata)
+    return schema | ({'enum': list(choices)} if choices else {})

@@ -23,7 +23,7 @@ from reference import (
     World,
 )
 from shepherd_ros.config import ConfigError
-from shepherd_ros.sim.flocking import flock_model, FLOCK_MODELS, model_of
+from shepherd_ros.sim.flocking import FLOCK_MODELS, model_of
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.rng import direction, Stream, uniform
@@ -562,17 +562,17 @@ def test_the_same_seed_gives_the_same_way_and_another_seed_another(config: Any) 
 def test_flock_models_are_found_by_name_and_by_configuration() -> None:
     assert set(FLOCK_MODELS) >= {'strombom', 'reynolds'}
     for name, model in FLOCK_MODELS.items():
-        assert flock_model(name) is model
+        assert FLOCK_MODELS[name] is model and model.name == name
         assert model_of(model.config()) is model
 
 
 def test_an_unknown_flock_is_refused_with_the_nearest_name() -> None:
     with pytest.raises(ConfigError, match=r"'strombum'.*did you mean 'strombom'\?"):
-        flock_model('strombum')
+        FLOCK_MODELS['strombum']
 
 
 def test_first_headings_are_unit_vectors_in_all_directions() -> None:
-    heading = flock_model('strombom').first_heading(torch.arange(50), 100, StrombomFlock())
+    heading = FLOCK_MODELS['strombom'].first_heading(torch.arange(50), 100, StrombomFlock())
     assert heading.shape == (50, 100, 2)
     assert_near(heading.norm(dim=-1), torch.ones(50, 100), 1e-6)
     assert heading.mean(dim=(0, 1)).norm() < 0.05
@@ -580,7 +580,7 @@ def test_first_headings_are_unit_vectors_in_all_directions() -> None:
 
 def test_a_reynolds_flock_starts_with_one_heading_and_a_spread_around_it() -> None:
     seed = torch.arange(200)
-    first_heading = flock_model('reynolds').first_heading
+    first_heading = FLOCK_MODELS['reynolds'].first_heading
     common = first_heading(seed, 100, ReynoldsFlock(heading_spread=0.0))
     assert_near(common, common[:, :1].expand_as(common), 1e-6)
     assert common[:, 0].mean(dim=0).norm() < 0.2  # common headings of flocks are spread evenly

@@ -4,18 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from shepherd_ros.config import Config, option
+from shepherd_ros.registry import Registry
 from shepherd_ros.sim.state import WorldState
 from torch import Tensor
 
 
 @dataclass(frozen=True)
 class FlockConfig(Config):
-    """What every flock has."""
+    """What every flock has, and what it is to controllers, training and experiments."""
+
+    restless: ClassVar[bool] = False  # whether sheep move while no shepherd is near
+    checkpoint: ClassVar[str] = 'imitation'  # the shipped one that was trained for it
+    repulsion_option: ClassVar[str] = ''  # rho_a, which experiments sweep; empty: it has none
 
     speed: float = option(1 / 3, 'speed of a moving sheep, delta_a [m/s], Table 1', low=0.0)
+
+    @property
+    def notice_range(self) -> float:
+        """Return how near a shepherd has to be for a sheep to react [m]."""
+        return 10.0
+
+    @property
+    def arc_range(self) -> float:
+        """Return the range of which Pierson's widest arc is a part [m]."""
+        return self.notice_range
+
+    @property
+    def repulsion_range(self) -> float:
+        """Return how near sheep repel each other, r of Strömbom's places [m]; 1 if they do not."""
+        return 1.0
 
 
 @dataclass(frozen=True)
@@ -32,3 +52,6 @@ class FlockModel:
     config: type[FlockConfig]
     first_heading: Callable[[Tensor, int, Any], Tensor]
     step: Callable[[WorldState, Any, float], tuple[Tensor, Tensor]]
+
+
+FLOCK_MODELS: Registry[FlockModel] = Registry('flock')

@@ -8,12 +8,13 @@ cut, without which the flock does not travel together.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from shepherd_ros.config import option
 from shepherd_ros.sim.compiled import usable
-from shepherd_ros.sim.flocking.base import FlockConfig, FlockModel
+from shepherd_ros.sim.flocking.base import FLOCK_MODELS, FlockConfig, FlockModel
 from shepherd_ros.sim.flocking.reynolds_compiled import reynolds_step
-from shepherd_ros.sim.flocking.strombom import offsets
+from shepherd_ros.sim.flocking.strombom import offsets, StrombomFlock
 from shepherd_ros.sim.fused import fused
 from shepherd_ros.sim.rng import normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
@@ -27,6 +28,9 @@ TINY = 0.01  # length of a term [m, 1/m or 1] below which it counts in proportio
 @dataclass(frozen=True)
 class ReynoldsFlock(FlockConfig):
     """Parameters of the Reynolds flock: Table 1 of the paper, unless said otherwise."""
+
+    restless: ClassVar[bool] = True
+    checkpoint: ClassVar[str] = 'reynolds'
 
     view_range: float = option(7.5, 'R_n [m]: a sheep sees sheep and shepherds so near', low=0.0)
     separation: float = option(1.0, 'w_s [-]: weight of repulsion by sheep', low=0.0)
@@ -47,6 +51,16 @@ class ReynoldsFlock(FlockConfig):
     heading_spread: float = option(
         0.3, 'standard deviation of first headings around a common one [rad] (choice)', low=0.0
     )
+
+    @property
+    def notice_range(self) -> float:
+        """Return R_n [m]."""
+        return self.view_range
+
+    @property
+    def arc_range(self) -> float:
+        """Return r_s of a Strömbom flock, for which Pierson's arc was tuned (choice) [m]."""
+        return StrombomFlock().shepherd_range
 
 
 def direction(term: Tensor) -> Tensor:
@@ -113,4 +127,4 @@ def first_heading(seed: Tensor, n: int, config: ReynoldsFlock) -> Tensor:
     )
 
 
-MODEL = FlockModel('reynolds', ReynoldsFlock, first_heading, step)
+FLOCK_MODELS.add(FlockModel('reynolds', ReynoldsFlock, first_heading, step))

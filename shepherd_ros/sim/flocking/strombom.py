@@ -8,10 +8,11 @@ equations 4.1 to 4.3; for several shepherds their unit pushes are added, as in E
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from shepherd_ros.config import option
 from shepherd_ros.sim.compiled import usable
-from shepherd_ros.sim.flocking.base import FlockConfig, FlockModel
+from shepherd_ros.sim.flocking.base import FLOCK_MODELS, FlockConfig, FlockModel
 from shepherd_ros.sim.flocking.strombom_compiled import strombom_step
 from shepherd_ros.sim.fused import fused
 from shepherd_ros.sim.rng import direction, Stream, uniform
@@ -24,6 +25,8 @@ from torch import Tensor
 @dataclass(frozen=True)
 class StrombomFlock(FlockConfig):
     """Parameters of the Strömbom flock: Table 1 of the paper, unless said otherwise."""
+
+    repulsion_option: ClassVar[str] = 'sheep_repulsion'
 
     n_neighbors: int = option(90, 'n [-]: nearest sheep that attract, at most all others', low=1)
     shepherd_range: float = option(65 / 3, 'r_s [m]: a sheep notices shepherds so near', low=0.0)
@@ -44,6 +47,16 @@ class StrombomFlock(FlockConfig):
     metric_attraction: bool = option(
         False, 'attraction grows with the distance to the local center [m] (choice: unit vector)'
     )
+
+    @property
+    def notice_range(self) -> float:
+        """Return r_s [m]."""
+        return self.shepherd_range
+
+    @property
+    def repulsion_range(self) -> float:
+        """Return r_a [m]."""
+        return self.sheep_range
 
 
 def offsets(points: Tensor, others: Tensor) -> tuple[Tensor, Tensor]:
@@ -154,4 +167,4 @@ def first_heading(seed: Tensor, n: int, config: StrombomFlock) -> Tensor:
     return direction(seed, torch.zeros_like(seed), Stream.HEADING, index)
 
 
-MODEL = FlockModel('strombom', StrombomFlock, first_heading, step)
+FLOCK_MODELS.add(FlockModel('strombom', StrombomFlock, first_heading, step))
