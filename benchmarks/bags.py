@@ -176,7 +176,7 @@ def episode(out: Path, kind: str) -> Path:
     """Record the default episode without ROS; return its bag."""
     from shepherd_ros.controllers import make_controller
     from shepherd_ros.recordings.record import episode_folder, record_episodes
-    from shepherd_ros.sim.env import EnvConfig
+    from shepherd_ros.sim.rollout import EnvConfig
 
     config = EnvConfig()
     record_episodes(config, make_controller('strombom', config.world), range(1), out, kind)

@@ -10,9 +10,10 @@ from typing import Any
 
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.sim import compiled
-from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.flocking import model_of
 from shepherd_ros.sim.lidar import scan
+from shepherd_ros.sim.rollout import EnvConfig
 import torch
 
 

@@ -214,8 +214,8 @@ def ppo(rounds: int, decisions: int, repeat: int) -> tuple[list[dict[str, Any]],
     rows.append(rates('rollout and update', 1, *sums))
     told: dict[str, float] = {}
     parts = {
-        'simulator': [(g, name) for g in rollout.groups for name in ('advance', 'begin')],
-        'lidar': [(g, 'look') for g in rollout.groups],
+        'simulator': [(g, name) for g in rollout.groups for name in ('hold', 'begin')],
+        'lidar': [(rollout, '_see')],
         'network': [(net, 'forward') for net in (policy.actor, policy.critic)],
     }
     with shares_of(parts, told):
@@ -238,7 +238,7 @@ def dagger(rounds: int) -> list[dict[str, Any]]:
     def drive() -> None:
         for lesson in lessons:
             lesson.run(config.steps, False, examples)
-        team = sum(int(lesson.group.state.shepherd_mask.sum()) for lesson in lessons)
+        team = sum(int(lesson.group.moment.state.shepherd_mask.sum()) for lesson in lessons)
         driven.append(team * config.steps)
 
     times = in_turns({'drive': drive, 'learn': lambda: cloner.learn(examples)}, rounds)

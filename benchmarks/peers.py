@@ -12,7 +12,8 @@ from pathlib import Path
 import time
 
 from shepherd_ros.controllers import make_controller
-from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.env import ShepherdEnv
+from shepherd_ros.sim.rollout import EnvConfig
 import torch
 from vmas import make_env
 from vmas.simulator.core import Agent, Landmark, Sphere, World

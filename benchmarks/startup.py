@@ -11,7 +11,8 @@ import time
 
 from shepherd_ros.bringup import herding_stack, Process
 from shepherd_ros.cli.processes import isolate, running
-from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.env import ShepherdEnv
+from shepherd_ros.sim.rollout import EnvConfig
 import torch
 
 MANY = 512  # worlds

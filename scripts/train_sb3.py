@@ -3,9 +3,9 @@
 
 import sys
 
-from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import ObservationConfig
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import SpawnConfig, WorldConfig
 import torch
 import tyro

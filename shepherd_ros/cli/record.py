@@ -13,7 +13,7 @@ from shepherd_ros.cli.errors import UserError
 
 if TYPE_CHECKING:
     from shepherd_ros.controllers.base import Controller
-    from shepherd_ros.sim.env import EnvConfig
+    from shepherd_ros.sim.rollout import EnvConfig
 
 TOGETHER = 8  # episodes that a worker runs in one batch
 
@@ -85,8 +85,8 @@ class Record:
     def setting(self) -> tuple[EnvConfig, Controller]:
         """Return environment and controller, or raise ConfigError."""
         from shepherd_ros.controllers import make_controller
-        from shepherd_ros.sim.env import EnvConfig
         from shepherd_ros.sim.presets import training_world, world_preset
+        from shepherd_ros.sim.rollout import EnvConfig
 
         world = replace(
             world_preset(self.preset, self.flock),

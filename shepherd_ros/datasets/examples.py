@@ -136,8 +136,8 @@ def examples_of(
     earlier frame is of a step that is not whole, the example is dropped and counted.
     """
     team = steps.n_shepherds
-    back = observation.spacing * np.arange(observation.n_frames - 1, -1, -1)
-    frame = np.maximum(steps.step[:, None] - back, 0)
+    step = torch.from_numpy(steps.step)
+    frame = observation.frames.rows(step, torch.zeros_like(step)).numpy()
     key = steps.step * team + steps.shepherd  # in order
     asked = frame * team + steps.shepherd[:, None]
     rows = np.minimum(np.searchsorted(key, asked), max(len(key) - 1, 0))

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from shepherd_ros.controllers.base import Controller
-from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.rollout import advance, EnvConfig, start
+from shepherd_ros.sim.spawn import spawn
 import torch
 from torch import Tensor
 
@@ -25,18 +26,15 @@ def run_episodes(
 
     on_step(step) is called after each step of all worlds.
     """
-    env = ShepherdEnv(config, episodes, lidar=False, device=device)
-    env.reset(seed)
-    memory = controller.begin(env.perceived)
-    result: dict[str, Tensor] = {}
+    moment = start(spawn(config.world, seed + torch.arange(episodes, device=device)), config)
+    memory = controller.begin(moment.perceived)
     total = torch.zeros(episodes, device=device)
     for step in range(config.world.episode_steps):
-        command, memory = controller.act(env.perceived, memory)
-        _, reward, _, _, info = env.step(command)
-        total += reward
-        result = info.get('final_metrics', result)
+        command, memory = controller.act(moment.perceived, memory)
+        moment = advance(moment, command)
+        total += moment.reward
         on_step(step + 1)
-    return {name: values.cpu() for name, values in (result | {'return': total}).items()}
+    return {name: v.cpu() for name, v in (moment.metrics() | {'return': total}).items()}
 
 
 def mean_and_interval(values: Tensor) -> tuple[float, float]:

@@ -6,10 +6,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from shepherd_ros.config import Config, ConfigError, option
-from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.presets import world_preset
+from shepherd_ros.sim.rollout import EnvConfig
 
 SCATTER = 5.0  # [m] standard deviation of the start `scattered`; the paper has 1
 STARTS: dict[str, dict[str, Any]] = {

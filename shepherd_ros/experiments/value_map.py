@@ -8,7 +8,6 @@ import numpy as np
 from shepherd_ros.experiments.bootstrap import Array
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.lidar import scan
-from shepherd_ros.sim.observation import first_stack, frames_of, history_length
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
@@ -79,7 +78,7 @@ def _values(policy: Policy, start: WorldState, places: Tensor) -> Tensor:
     shepherds = torch.cat([many.shepherds[:, :2], places[:, None]], dim=1)
     third = torch.tensor([2])
     ranges = scan(replace(many, shepherds=shepherds), policy.config.lidar, third)[:, 0]
-    config = policy.config.observation
-    frames = frames_of(first_stack(ranges, history_length(config)), config)
+    seen = policy.config.observation.frames
+    frames = seen.seen(seen.begin(ranges))
     first = policy.first_ray(frames[:, -1])
     return torch.as_tensor(policy.critic(policy.arranged(policy.scaled(frames), first)))

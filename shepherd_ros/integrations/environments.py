@@ -16,8 +16,9 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 import numpy as np
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 from shepherd_ros.config import ConfigError
-from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.observation import first_ray, input_shape, network_input, turned
+from shepherd_ros.sim.rollout import EnvConfig
 import torch
 from torch import Tensor
 

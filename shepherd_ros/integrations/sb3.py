@@ -14,8 +14,8 @@ from gymnasium import spaces, Wrapper
 import numpy as np
 from shepherd_ros.config import ConfigError
 from shepherd_ros.integrations.environments import HerdingVectorEnv
-from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.metrics import shown
+from shepherd_ros.sim.rollout import EnvConfig
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecEnv

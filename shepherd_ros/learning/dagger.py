@@ -15,19 +15,20 @@ from typing import Any
 from shepherd_ros.config import Config, option, part
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.controllers.base import Controller
-from shepherd_ros.controllers.policy import LearnedConfig, LearnedController
+from shepherd_ros.controllers.policy import require_same_world
 from shepherd_ros.experiments.methods import checkpoint_of, full_name
 from shepherd_ros.learning.clone import CloneConfig, Cloner, Examples
 from shepherd_ros.learning.dagger_bags import Visits
-from shepherd_ros.learning.rollout import Group, team_reward
+from shepherd_ros.learning.rollout import Group
 from shepherd_ros.learning.run_folder import Run
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.validation import judge
+from shepherd_ros.policy import inference
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.flocking import model_of
 from shepherd_ros.sim.observation import turned
-from shepherd_ros.sim.perception import perceive
+from shepherd_ros.sim.rollout import Moment
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import masked_mean
 from shepherd_ros.sim.world import WorldConfig
@@ -90,23 +91,28 @@ class Lesson:
     ) -> None:
         """Make the worlds and start their first episode, the shorter the lower the index."""
         self.config, self.policy, self.dtype = config, policy, dtype
-        self.group = Group(config.task, index, config.worlds, config.seed)
+        lidar = policy.config.lidar
+        self.group = Group(
+            config.task, index, config.worlds, config.seed, lidar, count=bool(config.visited)
+        )
         self.full = config.task.episode_steps
-        self.visits = Visits(config.visited, policy.config.lidar)
+        self.visits = Visits(config.visited)
         self._begin(max(self.full * (index + 1) // config.groups, 1))
 
     def _begin(self, steps: int) -> None:
         """Start an episode with new memories."""
         self.group.begin(steps)
-        world = self.group.config.world
+        now = self.group.moment
+        state, world = now.state, now.config.world
+        require_same_world(self.policy, world)
         teacher, at_home = self.config.teachers(model_of(world.flock).name)
         self.teacher = _teacher(teacher, world)
         self.home_teacher = _teacher(at_home, world) if at_home else None
-        self.learner = LearnedController(LearnedConfig(), world, self.policy, self.dtype)
-        self.taught = self.teacher.begin(self.group.state)
+        self.taught = self.teacher.begin(state)
         if self.home_teacher is not None:
-            self.taught_home = self.home_teacher.begin(self.group.state)
-        self.learned = self.learner.begin(self.group.state)
+            self.taught_home = self.home_teacher.begin(state)
+        worlds, team = state.shepherd_mask.shape
+        self.learned = inference.begin(self.policy, (worlds,), team, self.dtype)
 
     def _label(self, state: WorldState) -> Tensor:
         """Return what the teacher would do, or the one for a flock that is home; (B, H, 2) m/s."""
@@ -118,25 +124,38 @@ class Lesson:
         away = torch.linalg.vector_norm(middle - state.goal, dim=-1) - state.goal_radius
         return torch.where((away < self.config.near)[:, None, None], at_home, label)
 
+    def _command(self, now: Moment) -> Tensor:
+        """Return what the learner does, (B, H, 2) m/s."""
+        command, self.learned = inference.fly(
+            self.policy,
+            lambda: now.ranges,
+            now.state.shepherd_mask,
+            self.learned,
+            now.config.world.shepherd_speed,
+        )
+        return command
+
     def run(self, steps: int, teacher_drives: bool, examples: Examples) -> None:
         """Drive on for some steps and keep examples."""
-        apart = self.policy.config.decisions_apart
         for t in range(steps):
-            state = self.group.state
-            label = self._label(state)
-            seen = perceive(state, self.group.config.noise_std)
-            command, self.learned = self.learner.act(seen, self.learned)
+            now = self.group.moment
+            label, command = self._label(now.state), self._command(now)
             if t % self.config.every == 0:
-                present = state.shepherd_mask
-                frames = self.learned['history'][present][:, ::apart]
+                present = now.state.shepherd_mask
+                frames = self.policy.config.frames.seen(self.learned['history'][present])
                 first = self.learned['first'][present]
                 wanted = turned(label[present], -first, frames.shape[-1])
                 examples.add(frames, first, wanted)
             driven = label if teacher_drives else command
             self.visits.add(self.group, driven, label)
-            self.group.advance(driven, 1, team_reward)
+            self.group.step(driven)
             if self.group.left <= 0:
+                self.close()
                 self._begin(self.full)
+
+    def close(self) -> None:
+        """Finish the bags of the episode."""
+        self.visits.close(self.group.moment)
 
 
 def train_dagger(
@@ -177,5 +196,5 @@ def train_dagger(
         run.write(line)
         on_line(line)
     for lesson in lessons:
-        lesson.visits.close()
+        lesson.close()
     return policy

@@ -13,12 +13,14 @@ from pathlib import Path
 
 from shepherd_ros.config import ConfigError
 from shepherd_ros.learning.rollout import Group
-from shepherd_ros.recordings.record import close_bags, episode_folder, EpisodeBag, open_bags
-from shepherd_ros.sim.lidar import LidarConfig, scan
-from shepherd_ros.sim.metrics import count_step, METRICS, metrics, MetricsTally, start_tally
-from shepherd_ros.sim.perception import perceive
-from shepherd_ros.sim.state import WorldState
-from shepherd_ros.sim.transition import step
+from shepherd_ros.recordings.record import (
+    close_bags,
+    episode_folder,
+    EpisodeBag,
+    open_bags,
+    write_moment,
+)
+from shepherd_ros.sim.rollout import Moment
 from torch import Tensor
 
 LABELS = 'teacher'  # namespace
@@ -27,16 +29,11 @@ LABELS = 'teacher'  # namespace
 class Visits:
     """Writes the episodes of a group of worlds, a bag for each world and episode."""
 
-    def __init__(self, out: Path | str, lidar: LidarConfig, compression: str = 'zstd') -> None:
+    def __init__(self, out: Path | str, compression: str = 'zstd') -> None:
         """Take the folder of the bags, none if it is empty; it is made with the first bag."""
         self.out = Path(out) if out else None
-        self.lidar, self.compression = lidar, compression
+        self.compression = compression
         self.bags: list[EpisodeBag] = []
-        self.episode = -1
-
-    state: WorldState  # to which the last command leads
-    before: WorldState
-    tally: MetricsTally
 
     def add(self, group: Group, driven: Tensor, labels: Tensor) -> None:
         """
@@ -47,25 +44,20 @@ class Visits:
         """
         if self.out is None:
             return
-        if group.episode != self.episode:
-            self.close()
-            self._begin(self.out, group)
         if not self.bags:
-            return
-        self._write(group.state, driven, labels)
-        self.before, self.state = group.state, step(group.state, driven, group.config.world)
-        self.tally = count_step(self.tally, self.before, self.state)
+            self._begin(self.out, group)
+        write_moment(self.bags, group.moment, driven, (LABELS, labels))
 
-    def close(self) -> None:
-        """Write the state that the last command led to, and finish the bags."""
+    def close(self, last: Moment) -> None:
+        """Write the moment that the last command led to, and finish the bags."""
         if self.out is not None and self.bags:
-            self._write(self.state, None, None)
+            write_moment(self.bags, last)
             close_bags(self.out, self.bags)
         self.bags = []
 
     def _begin(self, out: Path, group: Group) -> None:
         """Open the bags of an episode, which is as long as it will be driven."""
-        start = group.state
+        start = group.moment.state
         for seed in start.seed.tolist():
             folder = episode_folder(out, seed)
             if folder.exists():
@@ -74,23 +66,6 @@ class Visits:
                     'folder or remove it'
                 )
         out.mkdir(parents=True, exist_ok=True)
-        self.steps = int(start.step[0]) + group.left
-        world = replace(group.config.world, episode_steps=self.steps)
+        world = group.moment.config.world
+        world = replace(world, episode_steps=int(start.step[0]) + group.left)
         self.bags = open_bags(out, world, start, self.compression)
-        self.episode, self.noise_std = group.episode, group.config.noise_std
-        self.before, self.tally = start, start_tally(start)
-
-    def _write(self, state: WorldState, driven: Tensor | None, labels: Tensor | None) -> None:
-        """Write a state (B) into the bags, with commands (B, H, 2) m/s unless it is the last."""
-        ranges = scan(perceive(state, self.noise_std), self.lidar).numpy()
-        values = metrics(self.tally, state, self.steps)
-        for k, bag in enumerate(self.bags):
-            bag.step(
-                state.world(k),
-                self.before.world(k),
-                ranges[k],
-                [] if driven is None else driven[k].tolist(),
-                {name: float(values[name][k]) for name in METRICS},
-                self.lidar.range_max,
-                (LABELS, [] if labels is None else labels[k].tolist()),
-            )

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from shepherd_ros.learning.distributed import rank
 from shepherd_ros.learning.gae import advantages
 from shepherd_ros.learning.task import draw_environment, TaskConfig
 from shepherd_ros.policy.policy import Policy
-from shepherd_ros.sim.env import EnvConfig
-from shepherd_ros.sim.lidar import scan
+from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import turned
-from shepherd_ros.sim.perception import perceive
-from shepherd_ros.sim.reward import reward_terms
+from shepherd_ros.sim.rollout import advance, Moment, start
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
-from shepherd_ros.sim.transition import step
 import torch
 from torch import Tensor
 
@@ -25,58 +22,63 @@ CPU = torch.device('cpu')
 STRANGERS = 15_485_863  # seeds from one process to the next
 SEEDS_APART = 1_000_003  # from an episode of a group to its next
 
+Reward = Callable[[Moment], Tensor]  # of each shepherd after a step, (B, H)
 
-Reward = Callable[[WorldState, EnvConfig], Tensor]  # of each shepherd after a step, (B, H)
 
-
-def team_reward(state: WorldState, config: EnvConfig) -> Tensor:
+def team_reward(moment: Moment) -> Tensor:
     """Return the paper's reward, the same for all of a team."""
-    terms = reward_terms(state, config.reward, config.world.episode_steps)
-    total = torch.stack(list(terms.values())).sum(dim=0)
-    return total[:, None].expand(state.shepherd_mask.shape)
+    return moment.reward[:, None].expand(moment.state.shepherd_mask.shape)
 
 
 class Group:
     """Worlds of one configuration, which begin and end their episodes together."""
 
     def __init__(
-        self, task: TaskConfig, index: int, n_worlds: int, seed: int, device: torch.device = CPU
+        self,
+        task: TaskConfig,
+        index: int,
+        n_worlds: int,
+        seed: int,
+        lidar: LidarConfig,
+        *,
+        count: bool = False,
+        device: torch.device = CPU,
     ) -> None:
-        """Make the group; begin() starts its first episode."""
+        """Make the group; begin() starts its first episode. count: with the tally of metrics."""
         self.task, self.index, self.n_worlds, self.seed = task, index, n_worlds, seed
-        self.device = device
+        self.lidar, self.count, self.device = lidar, count, device
         self.episode = 0
 
-    config: EnvConfig
-    state: WorldState
+    moment: Moment
     left: int  # steps until the episode is cut
 
     def begin(self, steps: int) -> None:
         """Start an episode of so many steps, in a world that is drawn from the task."""
         seed = self.seed + SEEDS_APART * self.episode + 1000 * self.index
-        self.config = draw_environment(self.task, seed)
-        self.state = spawn(
-            self.config.world, seed + torch.arange(self.n_worlds, device=self.device)
-        )
+        config = replace(draw_environment(self.task, seed), lidar=self.lidar)
+        seeds = seed + torch.arange(self.n_worlds, device=self.device)
+        self.moment = start(spawn(config.world, seeds), config, self.count)
         self.left, self.episode = steps, self.episode + 1
 
     def state_dict(self) -> dict[str, Any]:
         """Return the episode and where it is."""
-        state = {f.name: getattr(self.state, f.name) for f in fields(self.state)}
+        now = self.moment.state
+        state = {f.name: getattr(now, f.name) for f in fields(now)}
         return {'episode': self.episode, 'left': self.left, 'state': state}
 
     def load_state_dict(self, kept: dict[str, Any]) -> None:
         """Go on from what state_dict() gave."""
         self.episode = kept['episode'] - 1
         self.begin(kept['left'])
-        kept_state = kept['state'].items()
-        self.state = WorldState(**{name: t.to(self.device) for name, t in kept_state})
+        state = {name: t.to(self.device) for name, t in kept['state'].items()}
+        self.moment = start(WorldState(**state), self.moment.config, self.count)
 
-    def look(self, policy: Policy) -> Tensor:
-        """Return what the lidars read now, (B, H, 3, R) m."""
-        return scan(perceive(self.state, self.config.noise_std), policy.config.lidar)
+    def step(self, command: Tensor) -> None:
+        """Go on by a step with a command (B, H, 2) m/s."""
+        self.moment = advance(self.moment, command)
+        self.left -= 1
 
-    def advance(self, command: Tensor, repeat: int, reward: Reward) -> Tensor:
+    def hold(self, command: Tensor, repeat: int, reward: Reward) -> Tensor:
         """
         Hold a command (B, H, 2) m/s for some steps; return the sum of the rewards, (B, H).
 
@@ -84,13 +86,12 @@ class Group:
         """
         total, effort = command.new_zeros(command.shape[:-1]), self.task.effort
         for _ in range(repeat):
-            before = self.state.shepherds
-            self.state = step(self.state, command, self.config.world)
-            total += reward(self.state, self.config)
+            self.step(command)
+            now = self.moment
+            total += reward(now)
             if effort > 0:
-                way = torch.linalg.vector_norm(self.state.shepherds - before, dim=-1)
+                way = torch.linalg.vector_norm(now.state.shepherds - now.before.shepherds, dim=-1)
                 total -= effort * way
-        self.left -= repeat
         return total
 
 
@@ -145,9 +146,10 @@ class Rollout:
         self.generator = torch.Generator(device).manual_seed(seed + STRANGERS * rank())
         self.steps = task.episode_steps // repeat * repeat
         self.groups = [
-            Group(task, g + rank() * groups, worlds, seed, device) for g in range(groups)
+            Group(task, g + rank() * groups, worlds, seed, policy.config.lidar, device=device)
+            for g in range(groups)
         ]
-        self.before = policy.config.history - 1  # rows kept from earlier decisions
+        self.before = policy.config.frames.window - 1  # rows kept from earlier decisions
         shape = (groups, self.before + decisions + 1, worlds, task.shepherds_max)
         n_rays = policy.config.lidar.n_rays
         self.store = torch.zeros(*shape, 3, n_rays, dtype=dtype, device=device)
@@ -163,18 +165,16 @@ class Rollout:
 
     def _see(self, g: int, row: int, starts: bool = False) -> None:
         """Put what a group sees now in a row of the store."""
-        ranges = self.groups[g].look(self.policy)
+        moment = self.groups[g].moment
+        ranges = moment.ranges
         self.store[g, row] = self.policy.scaled(ranges).to(self.dtype)
         self.first[g, row] = self.policy.first_ray(ranges)
         self.begun[g, row] = row if starts else self.begun[g, row - 1]
-        self.mask[g, row] = self.groups[g].state.shepherd_mask
+        self.mask[g, row] = moment.state.shepherd_mask
 
     def rows_of(self, g: Tensor, row: Tensor, world: Tensor, shepherd: Tensor) -> Tensor:
         """Return the rows (n, K) of the flat store that hold the frames of n decisions."""
-        config = self.policy.config
-        back = torch.arange(config.observation.n_frames - 1, -1, -1, device=self.device)
-        back = back * config.decisions_apart
-        seen = torch.maximum(row[:, None] - back, self.begun[g, row][:, None])
+        seen = self.policy.config.frames.rows(row, self.begun[g, row])
         _, rows, worlds, team = self.mask.shape
         return ((g[:, None] * rows + seen) * worlds + world[:, None]) * team + shepherd[:, None]
 
@@ -222,7 +222,7 @@ class Rollout:
             command = torch.zeros(*self.mask[:, 0].shape, 2, device=device)
             command[g, world, shepherd] = turned(chosen, first, n_rays)
             for i, group in enumerate(self.groups):
-                reward[i, t] = group.advance(command[i], repeat, self.reward) * scale
+                reward[i, t] = group.hold(command[i], repeat, self.reward) * scale
                 self._see(i, row + 1)
                 ended[i, t] = group.left <= 0
             over = ended[:, t].nonzero()[:, 0].to(device)

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import random
 
 from shepherd_ros.config import Config, ConfigError, option
-from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.flocking import BOTH, FLOCK_MODELS
 from shepherd_ros.sim.presets import home_world, training_world, world_preset
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 
 

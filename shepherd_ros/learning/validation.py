@@ -10,8 +10,8 @@ from shepherd_ros.controllers.policy import LearnedConfig, LearnedController
 from shepherd_ros.experiments.runner import run_episodes
 from shepherd_ros.learning.task import base_world, TaskConfig
 from shepherd_ros.policy.policy import Policy
-from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.metrics import shown
+from shepherd_ros.sim.rollout import EnvConfig
 import torch
 
 FIRST_SEED = 900_000_000  # far from those of training and of tables

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from shepherd_ros.ros.node import OK, ShepherdNode, WARN
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.ros.world_subscriber import Listener
-from shepherd_ros.sim.metrics import (
-    count_step,
-    METRICS,
-    metrics,
-    MetricsTally,
-    PAPER_METRICS,
-    start_tally,
-)
+from shepherd_ros.sim.metrics import METRICS, PAPER_METRICS
+from shepherd_ros.sim.rollout import arrive, EnvConfig, Moment, start
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.wire.encode import encode_number
 from shepherd_ros.wire.episode import Episode
@@ -28,8 +23,7 @@ class MetricsNode(ShepherdNode):
         """Create the node and its publishers."""
         super().__init__('metrics', **kwargs)
         self.outputs = {name: self.advertise(f'metrics/{name}') for name in METRICS}
-        self.tally: MetricsTally | None = None
-        self.before: WorldState | None = None
+        self.moment: Moment | None = None
         self.values: dict[str, float] = {}
         self.gaps = 0
         self.reported = False
@@ -37,20 +31,21 @@ class MetricsNode(ShepherdNode):
 
     def on_episode(self, episode: Episode) -> None:
         """Start counting anew."""
-        self.before, self.gaps, self.reported = None, 0, False
+        self.moment, self.gaps, self.reported = None, 0, False
 
     def on_state(self, ns: int, state: WorldState, episode: Episode) -> None:
         """Count a step and publish what the metrics are now."""
-        step = int(state.step)
-        if self.before is None or self.tally is None or step < int(self.before.step):
-            self.tally = start_tally(state)
+        step, steps = int(state.step), episode.world.episode_steps
+        last = -1 if self.moment is None else int(self.moment.state.step)
+        if self.moment is None or step < last:
+            self.moment = start(state, EnvConfig(world=episode.world))
             self.gaps = int(step > 0)
-        elif step > int(self.before.step):  # a state that is shown again counts once
-            self.gaps += int(step > int(self.before.step) + 1)
-            self.tally = count_step(self.tally, self.before, state)
-        self.before = state
-        steps = episode.world.episode_steps
-        self.values = {k: float(v) for k, v in metrics(self.tally, state, steps).items()}
+        elif step > last:
+            self.moment = arrive(self.moment, state)
+            self.gaps += int(step > last + 1)
+        else:  # a state that is shown again counts once
+            self.moment = replace(self.moment, state=state)
+        self.values = {name: float(v) for name, v in self.moment.metrics().items()}
         for name, value in self.values.items():
             self.outputs[name].publish(encode_number(value))
         if step == steps and not self.reported:

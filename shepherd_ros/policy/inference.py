@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from shepherd_ros.policy.policy import Policy
-from shepherd_ros.sim.observation import first_stack, push_frame
 from shepherd_ros.sim.vectors import clip_norm
 import torch
 from torch import Tensor
@@ -18,7 +17,7 @@ def begin(
 ) -> Memory:
     """Return the memory of teams (*batch, team) that have seen nothing; dtype as for fly()."""
     config, device = policy.config, policy.device
-    shape = (*batch, team, config.history, 3, config.lidar.n_rays)
+    shape = (*batch, team, config.frames.window, 3, config.lidar.n_rays)
     return {
         'count': torch.zeros(batch, dtype=torch.int64, device=device),  # steps since then
         'history': torch.zeros(shape, dtype=dtype, device=device),  # scaled, newest last
@@ -51,7 +50,7 @@ def fly(
     ranges = look()
     history, first = _remembered(policy, memory, ranges, due)
     acting = (present & due[..., None]).reshape(-1)
-    frames = history[..., :: config.decisions_apart, :, :].flatten(0, -4)[acting]
+    frames = config.frames.seen(history).flatten(0, -4)[acting]
     numbers = None if draws is None else draws().reshape(-1, 2)[acting]
     command = memory['command'].clone()
     chosen = clip_norm(policy.act_on(frames, first.reshape(-1)[acting], numbers), top_speed)
@@ -63,13 +62,10 @@ def _remembered(
     policy: Policy, memory: Memory, ranges: Tensor, due: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Return history and ray in front with a reading, which fills all if it is the first."""
-    old, begins = memory['history'], memory['count'] == 0
+    old, frames = memory['history'], policy.config.frames
     newest = policy.scaled(ranges).to(old.dtype)
-    history, first = push_frame(old, newest), policy.first_ray(ranges)
+    history, first = frames.push(old, newest), policy.first_ray(ranges)
     if not due.all():
         history = torch.where(due[(..., *(None,) * 4)], history, old)
         first = torch.where(due[..., None], first, memory['first'])
-    if begins.any():
-        fresh = first_stack(newest, old.shape[-3])
-        history = torch.where(begins[(..., *(None,) * 4)], fresh, history)
-    return history, first
+    return frames.restart(history, newest, memory['count'] == 0), first

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from shepherd_ros.config import Config, ConfigError, option, part
 from shepherd_ros.policy.network import Actor, Critic, NetworkConfig
+from shepherd_ros.sim.frames import Frames
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import (
     arranged,
@@ -44,14 +45,9 @@ class PolicyConfig(Config):
             )
 
     @property
-    def history(self) -> int:
-        """Return how many decisions in a row hold all frames."""
-        return (self.observation.n_frames - 1) * self.decisions_apart + 1
-
-    @property
-    def decisions_apart(self) -> int:
-        """Return how many decisions are from one frame to the next."""
-        return self.observation.spacing // self.repeat
+    def frames(self) -> Frames:
+        """Return which readings are seen, one at each decision."""
+        return Frames(self.observation.n_frames, self.observation.spacing // self.repeat)
 
 
 class Policy(nn.Module):

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 from shepherd_ros.controllers.base import Controller, Memory
 from shepherd_ros.recordings.episodes import Episode, Frame
-from shepherd_ros.recordings.record import drive, EpisodeBag, Moment
+from shepherd_ros.recordings.record import drive, EpisodeBag
 from shepherd_ros.recordings.replay import description_of, metrics_over_time, states_of
 from shepherd_ros.recordings.replay_check import core_answers
-from shepherd_ros.sim.env import EnvConfig
-from shepherd_ros.sim.lidar import LidarConfig, scan
-from shepherd_ros.sim.metrics import count_step, METRICS, metrics, start_tally
+from shepherd_ros.sim.lidar import LidarConfig
+from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.perception import perceive
+from shepherd_ros.sim.rollout import arrive, EnvConfig, Moment, start
 from shepherd_ros.sim.state import WorldState
 
 
@@ -38,21 +38,19 @@ def record_future(
     config = EnvConfig(noise_std=noise_std, world=described.world, lidar=lidar_of(episode))
     states = states_of(episode)
     memory, same = memory_at(episode, states, at, controller, noise_std)
-    now = before = states.world(slice(0, 1))
-    tally = start_tally(now)
+    moment = start(states.world(slice(0, 1)), config)
     bag = EpisodeBag(folder, described, 'none')
     with closing(bag.writer):
         for t, frame in enumerate(episode.frames[:at]):
-            values = metrics(tally, now, episode.episode_steps)
+            values = moment.metrics()
             commands = [None if c is None else c.tolist() for c in frame.commands]
             row = {name: float(values[name][0]) for name in METRICS}
-            seen = ranges_of(frame, now, config)
-            bag.step(now.world(0), before.world(0), seen, commands, row, config.lidar.range_max)
-            before, now = now, states.world(slice(t + 1, t + 2))
-            tally = count_step(tally, before, now)
+            seen, state, before = ranges_of(frame, moment), moment.state, moment.before
+            bag.step(state.world(0), before.world(0), seen, commands, row, config.lidar.range_max)
+            moment = arrive(moment, states.world(slice(t + 1, t + 2)))
             on_step(1)
         goals = {frame.step: goal for frame, goal in zip(episode.frames, states.goal, strict=True)}
-        drive([bag], config, controller, Moment(now, before, tally, memory), goals, on_step)
+        drive([bag], controller, moment, memory, goals, on_step)
     return same
 
 
@@ -81,12 +79,12 @@ def lidar_of(episode: Episode) -> LidarConfig:
     return replace(LidarConfig(), n_rays=rays.pop()) if len(rays) == 1 else LidarConfig()
 
 
-def ranges_of(frame: Frame, state: WorldState, config: EnvConfig) -> list[np.ndarray]:
-    """Return the recorded scans of a state (1), those that are missing cast; (3, R) m each."""
+def ranges_of(frame: Frame, moment: Moment) -> list[np.ndarray]:
+    """Return the recorded scans of a world (1), those that are missing cast; (3, R) m each."""
     recorded = [s for s in frame.scans if s is not None]
     if len(recorded) == len(frame.scans):
         return recorded
-    cast = scan(perceive(state, config.noise_std), config.lidar)[0].numpy()
+    cast = moment.ranges[0].numpy()
     return [c if s is None else s for s, c in zip(frame.scans, cast, strict=True)]
 
 

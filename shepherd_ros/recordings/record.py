@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 import shutil
 
@@ -11,11 +10,9 @@ import numpy as np
 from shepherd_ros.controllers.base import Controller, Memory
 from shepherd_ros.rosbag2.qos import Qos
 from shepherd_ros.rosbag2.writer import BagWriter
-from shepherd_ros.sim import transition
-from shepherd_ros.sim.env import EnvConfig
-from shepherd_ros.sim.lidar import CHANNELS, scan
-from shepherd_ros.sim.metrics import count_step, METRICS, metrics, MetricsTally, start_tally
-from shepherd_ros.sim.perception import perceive
+from shepherd_ros.sim.lidar import CHANNELS
+from shepherd_ros.sim.metrics import METRICS
+from shepherd_ros.sim.rollout import advance, EnvConfig, Moment, start
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import unit
@@ -122,22 +119,21 @@ def record_episodes(
     A bag appears under its name when it is whole; on_step(worlds) is called after each step.
     """
     world = config.world
-    start = spawn(world, torch.arange(seeds.start, seeds.stop))
-    bags = open_bags(out, world, start, compression)
-    memory = controller.begin(perceive(start, config.noise_std))
-    drive(bags, config, controller, Moment(start, start, start_tally(start), memory), {}, on_step)
+    moment = start(spawn(world, torch.arange(seeds.start, seeds.stop)), config)
+    bags = open_bags(out, world, moment.state, compression)
+    drive(bags, controller, moment, controller.begin(moment.perceived), {}, on_step)
     close_bags(out, bags)
 
 
 def open_bags(
-    out: Path, world: WorldConfig, start: WorldState, compression: str
+    out: Path, world: WorldConfig, first: WorldState, compression: str
 ) -> list[EpisodeBag]:
     """Return an unfinished bag for each world (B) that starts."""
     bags = []
-    for k, seed in enumerate(start.seed.tolist()):
+    for k, seed in enumerate(first.seed.tolist()):
         folder = out / f'.{episode_folder(out, seed).name}'
         shutil.rmtree(folder, ignore_errors=True)  # left by a run that was killed
-        bags.append(EpisodeBag(folder, describe(world, start.world(k), seed), compression))
+        bags.append(EpisodeBag(folder, describe(world, first.world(k), seed), compression))
     return bags
 
 
@@ -148,21 +144,37 @@ def close_bags(out: Path, bags: Sequence[EpisodeBag]) -> None:
         bag.writer.folder.rename(episode_folder(out, bag.episode.seed))
 
 
-@dataclass(frozen=True)
-class Moment:
-    """Everything from which worlds (B) go on in one way only."""
+def write_moment(
+    bags: Sequence[EpisodeBag],
+    moment: Moment,
+    command: Tensor | None = None,
+    labels: tuple[str, Tensor] | None = None,
+) -> None:
+    """
+    Write a moment of worlds (B) into the bag of each.
 
-    state: WorldState
-    before: WorldState  # one step earlier; the first one is its own
-    tally: MetricsTally
-    memory: Memory
+    command (B, H, 2) m/s is given in it, none after the last step; labels, in a namespace, are
+    what another one would command.
+    """
+    ranges, lidar = moment.ranges.numpy(), moment.config.lidar
+    values = moment.metrics(bags[0].episode.world.episode_steps)
+    for k, bag in enumerate(bags):
+        bag.step(
+            moment.state.world(k),
+            moment.before.world(k),
+            ranges[k],
+            [] if command is None else command[k].tolist(),
+            {name: float(values[name][k]) for name in METRICS},
+            lidar.range_max,
+            ('', ()) if labels is None else (labels[0], labels[1][k].tolist()),
+        )
 
 
 def drive(
     bags: Sequence[EpisodeBag],
-    config: EnvConfig,
     controller: Controller,
     moment: Moment,
+    memory: Memory,
     goals: Mapping[int, Tensor],
     on_step: Callable[[int], None] = lambda worlds: None,
 ) -> None:
@@ -172,36 +184,24 @@ def drive(
     goals (2,) m are where the goal has been moved at some steps; on_step(worlds) is called after
     each step.
     """
-    state, before, tally, memory = moment.state, moment.before, moment.tally, moment.memory
-    last = config.world.episode_steps
-    for step in range(int(state.step[0]), last + 1):
-        seen = perceive(state, config.noise_std)
-        ranges = scan(seen, config.lidar).numpy()
-        command, memory = controller.act(seen, memory)
-        values = metrics(tally, state, last)
-        for k, bag in enumerate(bags):
-            row = {name: float(values[name][k]) for name in METRICS}
-            bag.step(
-                state.world(k), before.world(k), ranges[k], command[k].tolist(), row,
-                config.lidar.range_max,
-            )  # fmt: skip
+    last = moment.config.world.episode_steps
+    for step in range(int(moment.state.step[0]), last + 1):
+        command, memory = controller.act(moment.perceived, memory)
+        write_moment(bags, moment, command)
         if step < last:
-            before, state = state, transition.step(state, command, config.world)
-            if step + 1 in goals:
-                state = replace(state, goal=goals[step + 1].expand_as(state.goal))
-            tally = count_step(tally, before, state)
+            moment = advance(moment, command, goals.get(step + 1))
         on_step(len(bags))
 
 
-def describe(world: WorldConfig, start: WorldState, seed: int) -> Episode:
+def describe(world: WorldConfig, first: WorldState, seed: int) -> Episode:
     """Return the description that flock_sim gives of an episode that it begins with."""
     return Episode(
         number=0,
         seed=seed,
         start_ns=round(world.dt * 1e9),
         n_sheep=world.n_sheep,
-        n_shepherds=int(start.team_size),
-        goal_radius=float(start.goal_radius),
+        n_shepherds=int(first.team_size),
+        goal_radius=float(first.goal_radius),
         frame_id=FRAME,
         mode='lockstep',
         world=world,

@@ -8,7 +8,8 @@ import json
 import numpy as np
 from shepherd_ros.config import ConfigError
 from shepherd_ros.recordings.episodes import Episode, Frame
-from shepherd_ros.sim.metrics import count_step, METRICS, metrics, start_tally
+from shepherd_ros.sim.metrics import METRICS
+from shepherd_ros.sim.rollout import arrive, EnvConfig, start
 from shepherd_ros.sim.state import stack, WorldState
 from shepherd_ros.view.track import EpisodeTrack
 from shepherd_ros.wire.episode import Episode as Description
@@ -83,14 +84,11 @@ def exact_heading(direction: np.ndarray) -> np.ndarray:
 
 def metrics_over_time(states: WorldState, episode_steps: int) -> dict[str, np.ndarray]:
     """Return METRICS after each of the states (T), (T,) each."""
-    before = states.world(0)
-    tally = start_tally(before)
-    rows = [metrics(tally, before, episode_steps)]
+    moment = start(states.world(0), EnvConfig())
+    rows = [moment.metrics(episode_steps)]
     for t in range(1, len(states.step)):
-        after = states.world(t)
-        tally = count_step(tally, before, after)
-        rows.append(metrics(tally, after, episode_steps))
-        before = after
+        moment = arrive(moment, states.world(t))
+        rows.append(moment.metrics(episode_steps))
     return {name: np.array([float(row[name]) for row in rows]) for name in METRICS}
 
 

@@ -2,38 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
-from shepherd_ros.config import Config, option, part
-from shepherd_ros.sim.lidar import LidarConfig, scan
-from shepherd_ros.sim.metrics import count_step, metrics, MetricsTally, start_tally
-from shepherd_ros.sim.observation import (
-    first_stack,
-    frames_of,
-    history_length,
-    ObservationConfig,
-    push_frame,
-)
-from shepherd_ros.sim.perception import perceive
-from shepherd_ros.sim.reward import reward_terms, RewardConfig
+from shepherd_ros.sim.rollout import advance, EnvConfig, Moment, restart, start
 from shepherd_ros.sim.spawn import spawn
-from shepherd_ros.sim.state import where, WorldState
-from shepherd_ros.sim.transition import step
-from shepherd_ros.sim.world import WorldConfig
+from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor
-
-
-@dataclass(frozen=True)
-class EnvConfig(Config):
-    """A world, its sensors and its reward."""
-
-    noise_std: float = option(0.0, 'noise on all perceived positions [m]', low=0.0)
-    world: WorldConfig = part(WorldConfig)
-    lidar: LidarConfig = part(LidarConfig)
-    observation: ObservationConfig = part(ObservationConfig)
-    reward: RewardConfig = part(RewardConfig)
 
 
 class ShepherdEnv:
@@ -52,80 +27,62 @@ class ShepherdEnv:
         """Make the worlds; reset() starts them."""
         if n_worlds < 1:
             raise ValueError(f'n_worlds is {n_worlds}: expected at least 1')
-        self.config = config
+        self.config, self.frames = config, config.observation.frames
         self.n_worlds = n_worlds
         self.lidar = lidar
         self.device = torch.device(device)
 
-    state: WorldState
-    perceived: WorldState
-    tally: MetricsTally
-    stack: Tensor | None
-    _history: Tensor | None
+    moment: Moment
+    stack: Tensor | None  # what is observed of it
+    _window: Tensor
+
+    @property
+    def state(self) -> WorldState:
+        """Return the true state."""
+        return self.moment.state
+
+    @property
+    def perceived(self) -> WorldState:
+        """Return the state as controllers and lidars perceive it."""
+        return self.moment.perceived
 
     def reset(self, seed: int = 0) -> tuple[Tensor | None, dict[str, Any]]:
         """Start every world; world b with seed + b. Return observation and info."""
         seeds = seed + torch.arange(self.n_worlds, device=self.device)
-        self._begin(spawn(self.config.world, seeds))
+        self.moment, self.stack = start(spawn(self.config.world, seeds), self.config), None
+        if self.lidar:
+            self._see(self.frames.begin(self.moment.ranges))
         return self.stack, {'seed': seeds}
 
     def step(self, action: Tensor) -> tuple[Tensor | None, Tensor, Tensor, Tensor, dict[str, Any]]:
         """
         Return observation, reward (B,), terminated (B,), truncated (B,) and info after one step.
 
-        terminated stays False: the task has no end but its time limit, which is truncated and to
-        be bootstrapped. info has `reward_terms`; where truncated, also `final_observation`,
-        `final_state` and `final_metrics` of all B worlds as they were before those that ended
-        started anew.
+        A time limit is truncated and to be bootstrapped; nothing is terminated, as Moment says.
+        info has `reward_terms`; where an episode ends, also `final_observation`, `final_state` and
+        `final_metrics` of all B worlds as they were before those that ended started anew.
         """
-        config, before = self.config, self.state
-        after = step(before, action, config.world)
-        self.tally = count_step(self.tally, before, after)
-        terms = reward_terms(after, config.reward, config.world.episode_steps)
-        self._look(after, push=True)
-        truncated = after.step >= config.world.episode_steps
-        info: dict[str, Any] = {'reward_terms': terms}
-        if truncated.any():
+        self.moment = last = advance(self.moment, action)
+        if self.lidar:
+            self._see(self.frames.push(self._window, last.ranges))
+        ended = last.terminated | last.truncated
+        info: dict[str, Any] = {'reward_terms': last.reward_terms}
+        if ended.any():
             info |= {
                 'final_observation': self.stack,
-                'final_state': after,
-                'final_metrics': metrics(self.tally, after, config.world.episode_steps),
+                'final_state': last.state,
+                'final_metrics': last.metrics(),
             }
-            self._restart(truncated)
-        terminated = torch.zeros_like(truncated)
-        reward = torch.stack(list(terms.values())).sum(dim=0)
-        return self.stack, reward, terminated, truncated, info
+            fresh = spawn(self.config.world, last.state.seed + self.n_worlds)
+            self.moment = restart(last, ended, fresh)
+            if self.lidar:
+                self._see(self.frames.restart(self._window, self.moment.ranges, ended))
+        return self.stack, last.reward, last.terminated, last.truncated, info
 
     def metrics(self) -> dict[str, Tensor]:
         """Return the metrics of the running episodes so far, (B,) each."""
-        return metrics(self.tally, self.state, self.config.world.episode_steps)
+        return self.moment.metrics()
 
-    def _look(self, state: WorldState, push: bool) -> None:
-        """Take the state as the present one and perceive it."""
-        self.state = state
-        self.perceived = perceive(state, self.config.noise_std)
-        if not self.lidar:
-            self.stack = self._history = None
-            return
-        ranges = scan(self.perceived, self.config.lidar)
-        if push and self._history is not None:
-            self._history = push_frame(self._history, ranges)
-        else:
-            self._history = first_stack(ranges, history_length(self.config.observation))
-        self.stack = frames_of(self._history, self.config.observation)
-
-    def _begin(self, state: WorldState) -> None:
-        """Start all worlds in a state."""
-        self._look(state, push=False)
-        self.tally = start_tally(state)
-
-    def _restart(self, ended: Tensor) -> None:
-        """Start new episodes where they ended, (B,) bool; the other worlds stay as they are."""
-        old_state, old_history, old_tally = self.state, self._history, self.tally
-        fresh = spawn(self.config.world, old_state.seed + self.n_worlds)
-        self._begin(where(ended, fresh, old_state))
-        if old_history is not None and self._history is not None:
-            chosen = ended[:, None, None, None, None]
-            self._history = torch.where(chosen, self._history, old_history)
-            self.stack = frames_of(self._history, self.config.observation)
-        self.tally = self.tally.where(ended, old_tally)
+    def _see(self, window: Tensor) -> None:
+        """Take the window of readings as the present one."""
+        self._window, self.stack = window, self.frames.seen(window)

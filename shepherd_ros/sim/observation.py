@@ -1,4 +1,4 @@
-"""From scans to the network's input: frame stack, direction and layouts (paper, sections 3, 4)."""
+"""From frames to the network's input: direction and layouts (paper, sections 3, 4)."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import math
 
 from shepherd_ros.config import Config, option
+from shepherd_ros.sim.frames import Frames
 from shepherd_ros.sim.lidar import CHANNELS
 import torch
 from torch import Tensor
@@ -39,25 +40,10 @@ class ObservationConfig(Config):
         0.0, 'input where a ray is free: 0 as in the paper; 1: range_max if unit is 0', low=0.0
     )
 
-
-def history_length(config: ObservationConfig) -> int:
-    """Return how many readings in a row hold all frames that are seen together."""
-    return (config.n_frames - 1) * config.spacing + 1
-
-
-def first_stack(ranges: Tensor, length: int) -> Tensor:
-    """Return a stack filled with the first reading; (..., 3, R) m -> (..., T, 3, R) m."""
-    return ranges[..., None, :, :].expand(*ranges.shape[:-2], length, *ranges.shape[-2:]).clone()
-
-
-def push_frame(stack: Tensor, ranges: Tensor) -> Tensor:
-    """Return the stack with the newest reading last; (..., T, 3, R), (..., 3, R) m."""
-    return torch.cat([stack[..., 1:, :, :], ranges[..., None, :, :]], dim=-3)
-
-
-def frames_of(stack: Tensor, config: ObservationConfig) -> Tensor:
-    """Return the frames that are seen together, newest last; (..., T, 3, R) -> (..., K, 3, R)."""
-    return stack[..., :: config.spacing, :, :]
+    @property
+    def frames(self) -> Frames:
+        """Return which readings are seen, one at each step."""
+        return Frames(self.n_frames, self.spacing)
 
 
 def scaled_ranges(ranges: Tensor, config: ObservationConfig, range_max: float) -> Tensor:

@@ -37,10 +37,10 @@ from shepherd_ros.recordings.episodes import Episode, iter_episodes
 from shepherd_ros.recordings.record import record_episodes
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.reader import open_bag
-from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import ObservationConfig
 from shepherd_ros.sim.presets import training_world
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 import torch
 

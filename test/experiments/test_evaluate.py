@@ -21,7 +21,7 @@ from shepherd_ros.experiments.methods import checkpoint_hash, full_name, make_me
 from shepherd_ros.experiments.results import read_rows
 from shepherd_ros.experiments.runner import mean_and_interval, run_episodes
 from shepherd_ros.experiments.setting import describe, env_config, Setting, settled
-from shepherd_ros.sim.env import EnvConfig
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 import torch
 

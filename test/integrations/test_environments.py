@@ -11,9 +11,10 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 import pytest
 from shepherd_ros.config import ConfigError
 from shepherd_ros.integrations.environments import HerdingParallelEnv, HerdingVectorEnv
-from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.observation import first_ray, network_input, ObservationConfig, turned
 from shepherd_ros.sim.presets import training_world
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 import torch
 

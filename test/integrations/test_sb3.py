@@ -12,9 +12,9 @@ import pytest
 from shepherd_ros.config import ConfigError
 from shepherd_ros.integrations.environments import HerdingVectorEnv
 from shepherd_ros.integrations.sb3 import evaluate, HerdingVecEnv, LidarFeatures
-from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import ObservationConfig
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 from stable_baselines3 import PPO
 

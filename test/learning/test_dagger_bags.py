@@ -42,7 +42,7 @@ def driven(out: Path, worlds: int, steps: int, teacher_drives: bool = False) -> 
     lesson = Lesson(config, policy, 0, torch.float32)
     examples = Examples(policy, 1000, torch.float32)
     lesson.run(steps, teacher_drives, examples)
-    lesson.visits.close()
+    lesson.close()
     return policy, examples
 
 

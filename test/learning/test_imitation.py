@@ -26,8 +26,9 @@ from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.recordings.episodes import Episode, iter_episodes
 from shepherd_ros.recordings.record import record_episodes
 from shepherd_ros.rosbag2.reader import open_bag
-from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.observation import ObservationConfig, turned
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.vectors import clip_norm
 from shepherd_ros.sim.world import WorldConfig
 import torch
@@ -221,8 +222,8 @@ def test_a_lesson_keeps_what_the_teacher_would_do_where_the_learner_is() -> None
     config = DaggerConfig(task=task, worlds=3, groups=1, every=1)
     lesson = Lesson(config, policy, 0, torch.float32)
     examples = Examples(policy, 100, torch.float32)
-    start = lesson.group.state
-    law = make_controller('drover', lesson.group.config.world)
+    start = lesson.group.moment.state
+    law = make_controller('drover', lesson.group.moment.config.world)
     label, _ = law.act(start, law.begin(start))
     lesson.run(1, False, examples)
     expected = label[start.shepherd_mask]
@@ -232,15 +233,15 @@ def test_a_lesson_keeps_what_the_teacher_would_do_where_the_learner_is() -> None
     # the learner drove
     frames = examples.frames[:count]
     action = policy.actor(policy.arranged(frames, examples.first[:count]))[0]
-    moved = (lesson.group.state.shepherds - start.shepherds)[start.shepherd_mask] / 0.5
+    moved = (lesson.group.moment.state.shepherds - start.shepherds)[start.shepherd_mask] / 0.5
     turned_action = turned(action, examples.first[:count], 512).detach()
     torch.testing.assert_close(moved, turned_action, atol=1e-4, rtol=0)
     # the teacher drives
-    before = lesson.group.state
+    before = lesson.group.moment.state
     taught = lesson.taught
     label, _ = law.act(before, taught)
     lesson.run(1, True, examples)
-    moved = (lesson.group.state.shepherds - before.shepherds)[before.shepherd_mask] / 0.5
+    moved = (lesson.group.moment.state.shepherds - before.shepherds)[before.shepherd_mask] / 0.5
     np.testing.assert_allclose(moved, label[before.shepherd_mask], atol=1e-4)
 
 
@@ -252,13 +253,14 @@ def test_near_the_goal_a_reynolds_flock_can_have_a_teacher_of_its_own() -> None:
         reynolds_teacher='drover', reynolds_home_teacher='idle', near=8.0,
     )  # fmt: skip
     lesson = Lesson(config, policy, 0, torch.float32)
-    start, examples = lesson.group.state, Examples(policy, 100, torch.float32)
+    start, examples = lesson.group.moment.state, Examples(policy, 100, torch.float32)
     # the middle of one flock is 7.9 m from the rim, that of the other 8.1 m
     away = start.goal_radius + torch.tensor([7.9, 8.1])
     middle = start.goal + torch.stack([away, torch.zeros(2)], dim=-1)
     sheep = start.sheep - start.sheep.mean(dim=-2, keepdim=True) + middle[:, None]
-    lesson.group.state = state = replace(start, sheep=sheep)
-    world = lesson.group.config.world
+    state = replace(start, sheep=sheep)
+    lesson.group.moment = replace(lesson.group.moment, state=state)
+    world = lesson.group.moment.config.world
     rest, driven = (
         law.act(state, law.begin(state))[0] for law in (make_controller(n, world) for n in laws)
     )
@@ -266,7 +268,7 @@ def test_near_the_goal_a_reynolds_flock_can_have_a_teacher_of_its_own() -> None:
     expected *= state.shepherd_mask[..., None]
     assert driven.abs().sum() > 0
     lesson.run(1, True, examples)
-    moved = (lesson.group.state.shepherds - state.shepherds) / 0.5
+    moved = (lesson.group.moment.state.shepherds - state.shepherds) / 0.5
     torch.testing.assert_close(moved, expected, atol=1e-4, rtol=0)
 
 

@@ -17,10 +17,9 @@ from shepherd_ros.learning.rollout import log_prob, Rollout
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
-from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import ObservationConfig
-from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.rollout import Moment
 import torch
 from torch import Tensor
 
@@ -87,8 +86,9 @@ def test_explained_variance_is_one_for_a_perfect_guess_and_zero_for_the_mean() -
     assert explained_variance(torch.full((3,), 3.0), target) == pytest.approx(0.0, abs=1e-6)
 
 
-def nearness(state: WorldState, config: EnvConfig) -> Tensor:
+def nearness(moment: Moment) -> Tensor:
     """Return a reward that tells each shepherd to go to the goal, (B, H)."""
+    state = moment.state
     return -torch.linalg.vector_norm(state.shepherds - state.goal[:, None], dim=-1) / 10
 
 

@@ -49,7 +49,7 @@ def test_inputs_rewards_and_values_are_those_of_the_environment(
     policy = policy_of(repeat, spacing, align=align)
     rollout = rollout_of(policy, groups=1)
     group = rollout.groups[0]
-    config = group.config
+    config = group.moment.config
     env_config = replace(
         config,
         world=replace(config.world, episode_steps=STEPS),
@@ -57,7 +57,7 @@ def test_inputs_rewards_and_values_are_those_of_the_environment(
         observation=policy.config.observation,
     )
     env = ShepherdEnv(env_config, WORLDS)
-    stack, _ = env.reset(int(group.state.seed[0]))
+    stack, _ = env.reset(int(group.moment.state.seed[0]))
     scale = 7.0
     batch, _ = rollout.collect(0.5, 0.0, scale)
     masks = rollout.mask[0, rollout.before : rollout.before + DECISIONS]
@@ -97,14 +97,15 @@ def test_inputs_rewards_and_values_are_those_of_the_environment(
 def test_effort_costs_each_shepherd_its_own_way() -> None:
     policy = policy_of()
     plain = rollout_of(policy, groups=1).groups[0]
-    paying = Group(replace(TASK, effort=0.01), 0, WORLDS, 3)
+    paying = Group(replace(TASK, effort=0.01), 0, WORLDS, 3, policy.config.lidar)
     paying.begin(plain.left)
     command = torch.zeros(WORLDS, TASK.shepherds_max, 2)
     command[:, 0] = torch.tensor([0.3, 0.4])  # 0.5 m/s: below the top speed
     command[:, 1] = torch.tensor([0.0, 400.0])  # cut to the top speed
-    top, dt = plain.config.world.shepherd_speed, plain.config.world.dt
-    lost = plain.advance(command, 3, team_reward) - paying.advance(command, 3, team_reward)
-    expected = 3 * dt * 0.01 * torch.tensor([0.5, top, 0.0]) * plain.state.shepherd_mask
+    world = plain.moment.config.world
+    top, dt = world.shepherd_speed, world.dt
+    lost = plain.hold(command, 3, team_reward) - paying.hold(command, 3, team_reward)
+    expected = 3 * dt * 0.01 * torch.tensor([0.5, top, 0.0]) * plain.moment.state.shepherd_mask
     torch.testing.assert_close(lost, expected, atol=1e-6, rtol=1e-4)
     assert lost.max() > 0
 
@@ -132,7 +133,9 @@ def numbers(policy: Policy, rollout: Rollout, updates: int) -> list[Tensor]:
         batch, _ = rollout.collect(0.9, 0.9, 1.0)
         learner.update(rollout, batch, generator)
         rollout.roll()
-    return [p.detach().clone() for p in policy.parameters()] + [rollout.groups[0].state.sheep]
+    return [p.detach().clone() for p in policy.parameters()] + [
+        rollout.groups[0].moment.state.sheep
+    ]
 
 
 def test_the_same_seed_gives_the_same_training() -> None:

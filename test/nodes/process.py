@@ -43,9 +43,10 @@ from rosgraph_msgs.msg import Clock
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.nodes.compose import NODES
 from shepherd_ros.ros.node import nanoseconds, ShepherdNode, stamp
-from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.presets import world_preset
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor

@@ -9,8 +9,8 @@ from typing import Any
 
 from nodes.process import assert_same_states, Graph, LATCHED, Process, rollout, Track
 import pytest
-from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.lidar import CHANNELS
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.episode import Episode
 from std_msgs.msg import String

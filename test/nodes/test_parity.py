@@ -17,11 +17,11 @@ from nodes.process import (
 import numpy as np
 import pytest
 from sensor_msgs.msg import LaserScan
-from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.lidar import CHANNELS, LidarConfig, scan
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.presets import training_world, world_preset
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
 from std_msgs.msg import Float64

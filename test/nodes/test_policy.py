@@ -15,9 +15,10 @@ from shepherd_ros.controllers.policy import LearnedConfig, LearnedController
 from shepherd_ros.policy.checkpoint import save_policy
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
-from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.observation import ObservationConfig
 from shepherd_ros.sim.presets import world_preset
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.state import WorldState
 import torch
 

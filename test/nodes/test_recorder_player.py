@@ -57,8 +57,8 @@ from shepherd_ros.rosbag2.writer import (
     LOST_KEY,
     VERSION_KEY,
 )
-from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.presets import world_preset
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.wire.contract import contract_hash
 from shepherd_ros.wire.decode import decode_string
 from std_msgs.msg import Float64, Int32, String

@@ -20,9 +20,9 @@ from shepherd_ros.recordings.episodes import iter_episodes
 from shepherd_ros.recordings.record import episode_folder, record_episodes
 from shepherd_ros.rosbag2.diff import diff_bags
 from shepherd_ros.rosbag2.reader import open_bag
-from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.presets import world_preset
+from shepherd_ros.sim.rollout import EnvConfig
 from std_srvs.srv import SetBool
 
 pytestmark = pytest.mark.xdist_group('replay')  # one worker records the runs, once

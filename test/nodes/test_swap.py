@@ -5,7 +5,7 @@ from __future__ import annotations
 from nodes.process import assert_same_states, Graph, rollout
 import pytest
 from shepherd_ros.controllers import make_controller
-from shepherd_ros.sim.env import EnvConfig
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import step

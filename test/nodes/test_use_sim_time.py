@@ -13,7 +13,7 @@ from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
 from shepherd_ros.ros.node import stamp
-from shepherd_ros.sim.env import EnvConfig
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 from std_srvs.srv import SetBool
 

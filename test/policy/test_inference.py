@@ -9,10 +9,11 @@ from reference import make_state
 from shepherd_ros.controllers.policy import LearnedConfig, LearnedController
 from shepherd_ros.policy import inference
 from shepherd_ros.policy.policy import Policy, PolicyConfig
-from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.lidar import LidarConfig, scan
 from shepherd_ros.sim.observation import first_ray, ObservationConfig, turned
 from shepherd_ros.sim.presets import world_preset
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 import torch
 from torch import Tensor

@@ -16,9 +16,10 @@ from shepherd_ros.recordings.episodes import Episode, iter_episodes
 from shepherd_ros.recordings.record import episode_folder, record_episodes
 from shepherd_ros.rosbag2.diff import diff_bags
 from shepherd_ros.rosbag2.reader import open_bag
-from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.presets import world_preset
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_goal
 

@@ -12,8 +12,9 @@ from shepherd_ros.recordings.episodes import iter_episodes
 from shepherd_ros.recordings.record import episode_folder, record_episodes
 from shepherd_ros.rosbag2.diff import diff_bags
 from shepherd_ros.rosbag2.reader import open_bag
-from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.presets import training_world
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 
 WORLD = replace(WorldConfig(), n_sheep=6, n_shepherds=2, episode_steps=12)

@@ -12,7 +12,7 @@ from shepherd_ros.recordings.episodes import iter_episodes
 from shepherd_ros.recordings.record import episode_folder, record_episodes
 from shepherd_ros.recordings.replay import metrics_over_time, ranges_of, states_of, track_of
 from shepherd_ros.rosbag2.reader import open_bag
-from shepherd_ros.sim.env import EnvConfig
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 
 WORLD = replace(WorldConfig(), n_sheep=5, n_shepherds=2, episode_steps=8)

@@ -17,8 +17,9 @@ from shepherd_ros.recordings.record import episode_folder, record_episodes
 from shepherd_ros.recordings.replay import exact_heading, states_of
 from shepherd_ros.recordings.replay_check import asked_frames, Comparison
 from shepherd_ros.rosbag2.reader import open_bag
-from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.presets import world_preset
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.vectors import unit
 from shepherd_ros.wire.decode import decode_poses
 from shepherd_ros.wire.encode import encode_poses

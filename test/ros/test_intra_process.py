@@ -15,7 +15,7 @@ from shepherd_ros.nodes.compose import compose
 from shepherd_ros.ros.intra_process import Bus
 from shepherd_ros.ros.node import EXECUTORS, ShepherdNode
 from shepherd_ros.ros.runtime import spin
-from shepherd_ros.sim.env import EnvConfig
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_poses
 import torch

@@ -12,7 +12,7 @@ from shepherd_ros.config import checked, Config, ConfigError, unknown_name
 from shepherd_ros.controllers import controller_type, CONTROLLERS, make_controller
 from shepherd_ros.controllers.pierson import PiersonConfig
 from shepherd_ros.controllers.strombom import StrombomConfig
-from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
@@ -20,6 +20,7 @@ from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import ObservationConfig
 from shepherd_ros.sim.presets import evaluation_world, PRESETS, training_world, world_preset
 from shepherd_ros.sim.reward import RewardConfig
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import MAX_SHEEP, MAX_SHEPHERDS, SpawnConfig, WorldConfig
 
 CLASSES: list[type[Config]] = [

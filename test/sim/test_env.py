@@ -8,14 +8,15 @@ from typing import Any
 
 import pytest
 from reference import assert_near, assert_same_world, trajectory_metrics, World
-from shepherd_ros.sim.env import EnvConfig, ShepherdEnv
+from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.lidar import LidarConfig, scan
 from shepherd_ros.sim.metrics import METRICS
-from shepherd_ros.sim.observation import first_stack, ObservationConfig
+from shepherd_ros.sim.observation import ObservationConfig
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.reward import reward_terms, RewardConfig
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.transition import step
 from shepherd_ros.sim.world import SpawnConfig, WorldConfig
@@ -62,7 +63,7 @@ def test_a_step_is_the_laws_one_after_the_other() -> None:
     state = spawn(env.config.world, torch.arange(11, 15))
     assert_same_world(env.state, state)
     ranges = scan(perceive(state, 0.2), env.config.lidar)
-    assert same(first, first_stack(ranges, 3))
+    assert same(first, env.frames.begin(ranges))
     command = action(env)
     observation, reward, terminated, truncated, info = env.step(command)
     after = step(state, command, env.config.world)
@@ -222,7 +223,7 @@ def test_worlds_that_go_on_are_untouched_when_another_restarts() -> None:
     offset = torch.tensor([0, 4, 6])  # the worlds end at steps 9, 5 and 3
     for e in (env, undisturbed):
         e.reset(seed=50)
-        e.state = replace(e.state, step=offset.clone())
+        e.moment = replace(e.moment, state=replace(e.state, step=offset.clone()))
     remaining = [9, 5, 3]
     for t in range(1, 10):
         command = action(undisturbed)

@@ -1,4 +1,4 @@
-"""Frame stack and layouts, on numbers small enough to write down."""
+"""Layouts of the input, on numbers small enough to write down."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ import pytest
 from reference import assert_near
 from shepherd_ros.config import ConfigError
 from shepherd_ros.sim.observation import (
-    first_stack,
     input_shape,
     LAYOUTS,
     network_input,
     ObservationConfig,
-    push_frame,
 )
 import torch
 from torch import Tensor
@@ -28,33 +26,7 @@ def frame(first: float) -> Tensor:
 
 def stack_of_two() -> Tensor:
     """Return the older frame 0 to 5 and the newer 10 to 15."""
-    return push_frame(first_stack(frame(0.0), 2), frame(10.0))
-
-
-def test_the_first_reading_fills_the_whole_stack() -> None:
-    stack = first_stack(frame(7.0), 3)
-    assert stack.shape == (3, 3, 2)
-    for k in range(3):
-        assert torch.equal(stack[k], frame(7.0))
-
-
-def test_the_newest_reading_comes_last_and_the_oldest_leaves() -> None:
-    stack = first_stack(frame(0.0), 3)
-    for first in (10.0, 20.0, 30.0, 40.0):
-        stack = push_frame(stack, frame(first))
-    assert torch.equal(stack, torch.stack([frame(20.0), frame(30.0), frame(40.0)]))
-
-
-def test_pushing_does_not_change_the_stack_it_is_given() -> None:
-    before = first_stack(frame(0.0), 2)
-    kept = before.clone()
-    push_frame(before, frame(10.0))
-    assert torch.equal(before, kept)
-
-
-def test_a_stack_of_one_frame_is_that_frame() -> None:
-    stack = push_frame(first_stack(frame(0.0), 1), frame(10.0))
-    assert torch.equal(stack, frame(10.0)[None])
+    return torch.stack([frame(0.0), frame(10.0)])
 
 
 def test_layout_types_has_a_channel_per_type_with_the_frames_in_a_row_oldest_first() -> None:
@@ -84,7 +56,7 @@ def test_ranges_are_in_units_of_the_greatest_and_free_rays_have_a_value_of_their
     ranges = torch.tensor([[75.0, INF], [37.5, 0.75], [INF, INF]])
     for none in (0.0, 1.0):
         config = ObservationConfig(n_frames=1, layout=layout, none_value=none)
-        got = network_input(first_stack(ranges, 1), config, 75.0)
+        got = network_input(ranges[None], config, 75.0)
         assert_near(got.flatten(), [1.0, none, 0.5, 0.01, none, none], 1e-6)
 
 
@@ -95,7 +67,8 @@ def test_the_announced_shape_is_that_of_the_input_for_any_leading_axes(
 ) -> None:
     config = ObservationConfig(n_frames=n_frames, layout=layout)
     ranges = torch.rand(4, 5, 3, 16, generator=torch.Generator().manual_seed(0))
-    stack = push_frame(first_stack(ranges, n_frames), ranges * 2)
+    frames = config.frames
+    stack = frames.push(frames.begin(ranges), ranges * 2)
     got = network_input(stack, config, 75.0)
     assert got.shape == (4, 5, *input_shape(config, 16))
     assert torch.equal(got[2, 3], network_input(stack[2, 3], config, 75.0))

@@ -1,0 +1,126 @@
+"""
+The rollout: perceive, scan, act, step, count, one moment after the other.
+
+A loop over an episode reads a moment, commands, and goes on from there::
+
+    moment = start(spawn(config.world, seeds), config)
+    while not moment.truncated.all():
+        command, memory = controller.act(moment.perceived, memory)
+        moment = advance(moment, command)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from shepherd_ros.config import Config, option, part
+from shepherd_ros.sim.lidar import LidarConfig, scan
+from shepherd_ros.sim.metrics import count_step, metrics, MetricsTally, start_tally
+from shepherd_ros.sim.observation import ObservationConfig
+from shepherd_ros.sim.perception import perceive
+from shepherd_ros.sim.reward import reward_terms, RewardConfig
+from shepherd_ros.sim.state import where, WorldState
+from shepherd_ros.sim.transition import step
+from shepherd_ros.sim.world import WorldConfig
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class EnvConfig(Config):
+    """A world, its sensors and its reward."""
+
+    noise_std: float = option(0.0, 'noise on all perceived positions [m]', low=0.0)
+    world: WorldConfig = part(WorldConfig)
+    lidar: LidarConfig = part(LidarConfig)
+    observation: ObservationConfig = part(ObservationConfig)
+    reward: RewardConfig = part(RewardConfig)
+
+
+@dataclass(frozen=True)
+class Moment:
+    """
+    Worlds (...) at one step of their episodes, and what follows from it.
+
+    What is derived is computed when it is first read, and once.
+    """
+
+    config: EnvConfig
+    state: WorldState
+    before: WorldState  # one step earlier; the first state is its own
+    tally: MetricsTally | None  # None: not counted
+
+    @cached_property
+    def perceived(self) -> WorldState:
+        """Return the state with the noise of perception."""
+        return perceive(self.state, self.config.noise_std)
+
+    @cached_property
+    def ranges(self) -> Tensor:
+        """Return what the lidars read, (..., H, 3, R) m, +inf on free rays."""
+        return scan(self.perceived, self.config.lidar)
+
+    @cached_property
+    def reward_terms(self) -> dict[str, Tensor]:
+        """Return the terms of the reward for the step that led here, (...) each."""
+        return reward_terms(self.state, self.config.reward, self.config.world.episode_steps)
+
+    @property
+    def reward(self) -> Tensor:
+        """Return the sum of the terms, (...)."""
+        return torch.stack(list(self.reward_terms.values())).sum(dim=0)
+
+    @property
+    def terminated(self) -> Tensor:
+        """Return where the task ends, (...) bool: nowhere, as it goes on to its time limit."""
+        return torch.zeros_like(self.truncated)
+
+    @property
+    def truncated(self) -> Tensor:
+        """Return where the time limit is reached, (...) bool; values are to be bootstrapped."""
+        return self.state.step >= self.config.world.episode_steps
+
+    def metrics(self, episode_steps: int | None = None) -> dict[str, Tensor]:
+        """
+        Return the metrics of the episode so far, (...) each.
+
+        episode_steps are those of the whole episode, the world's by default.
+        """
+        assert self.tally is not None
+        steps = self.config.world.episode_steps if episode_steps is None else episode_steps
+        return metrics(self.tally, self.state, steps)
+
+
+def start(state: WorldState, config: EnvConfig, count: bool = True) -> Moment:
+    """Return the first moment of episodes; count: with the tally of the metrics."""
+    return Moment(config, state, state, start_tally(state) if count else None)
+
+
+def advance(moment: Moment, command: Tensor, goal: Tensor | None = None) -> Moment:
+    """Return the moment after a command (..., H, 2) m/s; goal (2,) m is where it is moved to."""
+    state = step(moment.state, command, moment.config.world)
+    if goal is not None:
+        state = replace(state, goal=goal.expand_as(state.goal))
+    return arrive(moment, state)
+
+
+def arrive(moment: Moment, state: WorldState) -> Moment:
+    """Return the moment in a state that follows, as it was recorded or heard."""
+    tally = moment.tally
+    if tally is not None:
+        tally = count_step(tally, moment.state, state)
+    return replace(moment, state=state, before=moment.state, tally=tally)
+
+
+def restart(moment: Moment, ended: Tensor, state: WorldState) -> Moment:
+    """Return the moment with new episodes in a first state where they ended, (B,) bool."""
+    tally = moment.tally
+    if tally is not None:
+        tally = start_tally(state).where(ended, tally)
+    return replace(
+        moment,
+        state=where(ended, state, moment.state),
+        before=where(ended, state, moment.before),
+        tally=tally,
+    )
