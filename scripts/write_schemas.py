@@ -1,11 +1,14 @@
-"""Write msg_schemas/ anew: texts of installed messages, and the world part of the episode."""
+"""Write msg_schemas/ anew: texts of messages, the world of the episode, and rows of topics."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+import re
 
 from shepherd_ros.sim.flocking import FLOCK_MODELS
+from shepherd_ros.sim.lidar_layout import CHANNELS
+from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.world import SpawnConfig, WorldConfig
 from shepherd_ros.wire.schemas import (
     config_schema,
@@ -14,8 +17,29 @@ from shepherd_ros.wire.schemas import (
     schema_name,
     wire_types,
 )
+from shepherd_ros.wire.topics import families, member, Topic, topic_pattern, topic_text
 
 FOLDER = Path(__file__).resolve().parents[1] / 'msg_schemas'
+
+
+def members() -> dict[str, list[Topic]]:
+    """Return the rows of the built-in members of each family."""
+    scans, values = families().values()
+    stamp = scans.meaning.removeprefix('a channel of a lidar')
+    return {
+        scans.name: [member(scans, c.name, meaning=c.meaning + stamp) for c in CHANNELS.values()],
+        values.name: [
+            member(values, m.name, unit=m.unit, meaning=m.meaning) for m in METRICS.values()
+        ],
+    }
+
+
+def topics_text(text: str) -> str:
+    """Return topics.yaml with the rows of the members of families anew."""
+    for family, rows in members().items():
+        old = rf'(^- name: {topic_pattern(family)}\n(  .*\n)*)+'
+        text = re.sub(old, ''.join(map(topic_text, rows)), text, flags=re.MULTILINE)
+    return text
 
 
 def fresh() -> dict[str, str]:
@@ -29,7 +53,8 @@ def fresh() -> dict[str, str]:
         parts[name] = config_schema(model.config, model=constant)
     episode['$defs'] |= parts
     return texts | {
-        'episode.schema.json': json.dumps(episode, indent=2, ensure_ascii=False) + '\n'
+        'episode.schema.json': json.dumps(episode, indent=2, ensure_ascii=False) + '\n',
+        'topics.yaml': topics_text((FOLDER / 'topics.yaml').read_text(encoding='utf-8')),
     }
 
 

@@ -19,8 +19,15 @@ from shepherd_ros.recordings.grouping import (
 )
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.reader import Bag
-from shepherd_ros.rosbag2.writer import CONTRACT_KEY, LOST_KEY
-from shepherd_ros.wire.contract import CHANNELS, contract_hash, known, known_text
+from shepherd_ros.rosbag2.writer import CONTRACT_KEY, LOST_KEY, TOPICS_KEY
+from shepherd_ros.wire.contract import (
+    CHANNELS,
+    contract_hash,
+    known,
+    known_text,
+    topic_hashes,
+    WHOLE,
+)
 
 PARTS = ('scans', 'commands')
 MOST = 1000  # findings that are kept
@@ -123,12 +130,30 @@ def _identity(bag: Bag) -> Iterator[Finding]:
             yield Finding('type', f'{topic.type!r}, expected {expected}', topic=topic.name)
         elif bag.schemas[topic.type] != ('ros2msg', known_text(topic.type)):
             yield Finding('schema', f'the text of {topic.type} is not ours', topic=topic.name)
-    theirs = bag.custom_data.get(CONTRACT_KEY)
-    if theirs not in (None, contract_hash()):
-        yield Finding('contract', f'{CONTRACT_KEY} is {theirs!r:.20}, ours {contract_hash()!r:.9}')
+    yield from _contract(bag)
     yield from _lost(bag.custom_data.get(LOST_KEY, '{}'))
     if bag.noted_count not in (None, bag.count):
         yield Finding('metadata', f'{bag.noted_count} messages are noted, {bag.count} are there')
+
+
+def _contract(bag: Bag) -> Iterator[Finding]:
+    """Yield the topics of a bag that had another meaning when it was recorded."""
+    text, theirs = bag.custom_data.get(TOPICS_KEY), bag.custom_data.get(CONTRACT_KEY)
+    if text is None:  # of before topics had hashes of their own
+        if theirs not in (None, WHOLE, contract_hash()):
+            mine = f'{contract_hash()!r:.9}'
+            yield Finding('contract', f'{CONTRACT_KEY} is {theirs!r:.20}, ours {mine}')
+        return
+    try:
+        hashes = dict(json.loads(text))
+    except (TypeError, ValueError, RecursionError):
+        yield Finding('metadata', f'{TOPICS_KEY} is {text!r:.40}, expected hashes by topic')
+        return
+    for name in bag.topics:
+        ours = known(name)
+        mine = '' if ours is None else topic_hashes()[ours.row]
+        if ours is not None and hashes.get(ours.row, mine) != mine:
+            yield Finding('contract', 'it had another meaning when it was recorded', topic=name)
 
 
 def _lost(text: str) -> Iterator[Finding]:

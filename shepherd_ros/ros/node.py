@@ -17,7 +17,7 @@ from rclpy.timer import Timer
 from shepherd_ros import __version__
 from shepherd_ros.ros.intra_process import Bus, LocalPublisher, Output
 from shepherd_ros.ros.parameters import declare
-from shepherd_ros.wire.topics import contract
+from shepherd_ros.wire.topics import contract, row_of
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 EXECUTORS = ('events', 'single')
@@ -31,8 +31,7 @@ def message_type(name: str) -> Any:
 
 def quality(topic: str, subscribe: bool = False) -> QoSProfile:
     """Return the quality of service of a topic, for a publisher or a subscriber."""
-    topics, profiles = contract()
-    profile = profiles[topics[topic].profile]
+    profile = contract()[1][row_of(topic).profile]
     reliability = (profile.subscribe if subscribe else '') or profile.reliability
     return QoSProfile(
         depth=profile.depth,
@@ -66,7 +65,7 @@ class ShepherdNode(Node):
 
     def advertise(self, topic: str, shepherd: int | None = None, kind: str = '') -> Output:
         """Return a publisher of a topic of the contract; kind is its alternative type."""
-        row = contract()[0][topic]
+        row = row_of(topic)
         name = topic.format(h=shepherd)
         publisher = self.create_publisher(message_type(kind or row.type), name, quality(topic))
         return publisher if self.bus is None else LocalPublisher(self, publisher, self.bus)
@@ -81,7 +80,7 @@ class ShepherdNode(Node):
         kind: str = '',
     ) -> Subscription:
         """Return a subscription to a topic of the contract."""
-        row = contract()[0][topic]
+        row = row_of(topic)
         name = topic.format(h=shepherd)
         profile = quality(topic, subscribe=True)
         profile.depth = max(profile.depth, self.backlog)

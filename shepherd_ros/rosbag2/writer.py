@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+import json
 from pathlib import Path
 from types import TracebackType
 
@@ -15,7 +16,7 @@ from shepherd_ros.rosbag2.mcap_writer import PACKERS
 from shepherd_ros.rosbag2.metadata import Metadata, TopicInfo
 from shepherd_ros.rosbag2.qos import Qos
 from shepherd_ros.rosbag2.records import LARGEST
-from shepherd_ros.wire.contract import contract_hash, known, known_text, type_hash
+from shepherd_ros.wire.contract import contract_hash, known, known_text, topic_hashes, type_hash
 from shepherd_ros.wire.decode import CdrError, decode_string
 
 CHUNK_SIZE = 256 << 10  # [bytes]
@@ -23,6 +24,7 @@ LARGEST_MESSAGE = LARGEST // 2  # [bytes], so that a chunk with it can be read
 SMALLEST_SPLIT = 1024  # [bytes], as in rosbag2
 VERSION_KEY = 'shepherd_ros.version'
 CONTRACT_KEY = 'shepherd_ros.contract'
+TOPICS_KEY = 'shepherd_ros.topics'  # JSON: topic_hashes()
 EPISODE_KEY = 'shepherd_ros.episode'
 LOST_KEY = 'shepherd_ros.lost'  # JSON: how many messages the recorder missed, by topic
 _ELSEWHERE = 'free space or choose another place, then record into a new folder'
@@ -34,7 +36,7 @@ class BagWriter:
 
     What is written before a crash stays readable but for the last chunk; flush() ends a chunk
     early. When the disk is full, the bag is closed with all that can be kept, and BagError is
-    raised. custom_data goes into the metadata, beside the version of the package, the hash of
+    raised. custom_data goes into the metadata, beside the version of the package, hashes of
     the contract and the first episode; own=False leaves those out.
     """
 
@@ -65,7 +67,9 @@ class BagWriter:
         self.custom_data = dict(custom_data or {})
         if own:
             self.custom_data.setdefault(VERSION_KEY, __version__)
-            self.custom_data.setdefault(CONTRACT_KEY, contract_hash())
+            if CONTRACT_KEY not in self.custom_data:
+                self.custom_data[CONTRACT_KEY] = contract_hash()
+                self.custom_data[TOPICS_KEY] = json.dumps(topic_hashes(), separators=(',', ':'))
         self.count = 0  # messages taken
         self.closed = False
         try:

@@ -7,13 +7,17 @@ from functools import cache
 import hashlib
 import json
 import re
+from typing import Any
 
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 from shepherd_ros.wire.schemas import schema_text, wire_types
-from shepherd_ros.wire.topics import contract, Topic
+from shepherd_ros.wire.topics import contract, families, member, Topic, topic_pattern
 
 CHANNELS = ('sheep', 'shepherds', 'goal')  # of a scan, in the order of the lidar
 PROSE = ('publisher', 'subscribers', 'meaning')  # may change without any change on the wire
+HASH = 12  # characters of the hash of a topic
+# contract_hash() when bags began to have one for each topic, which were then as they are
+WHOLE = '57135bfda311c7fd6e26293ad7e9721224dca443640b9455ced35affab933188'
 
 
 @dataclass(frozen=True)
@@ -23,6 +27,7 @@ class Known:
     topic: Topic
     namespace: str  # '' or such as /farm
     shepherd: int | None = None
+    row: str = ''  # in the contract: the name of the topic, or of its family
 
     @property
     def types(self) -> tuple[str, ...]:
@@ -32,12 +37,12 @@ class Known:
 
 @cache
 def _patterns() -> list[tuple[re.Pattern[str], Topic]]:
-    """Return what topics look like in a bag, the longest names first."""
+    """Return what topics look like in a bag, the longest names first and families last."""
     rows = sorted(contract()[0].values(), key=lambda row: -len(row.name))
     patterns = []
-    for row in rows:
-        name = re.escape(row.name).replace(r'\{h\}', r'(?P<h>0|[1-9]\d{0,5})')
+    for row in (*rows, *families().values()):
         space = '(?P<space>)' if row.name.startswith('/') else r'(?P<space>(?:/\w+)*)/'
+        name = topic_pattern(row.name, r'(?P<h>0|[1-9]\d{0,5})')
         patterns.append((re.compile(f'{space}{name}'), row))
     return patterns
 
@@ -48,9 +53,32 @@ def known(name: str) -> Known | None:
     for pattern, row in _patterns():
         match = pattern.fullmatch(name)
         if match is not None:
-            shepherd = match.groupdict().get('h')
-            return Known(row, match['space'], None if shepherd is None else int(shepherd))
+            found = match.groupdict()
+            shepherd = None if found.get('h') is None else int(found['h'])
+            one = member(row, found['member']) if 'member' in found else row
+            return Known(one, found['space'], shepherd, row.name)
     return None
+
+
+def _meaning(row: Topic) -> dict[str, str]:
+    """Return what a row says, but for what is said for people only."""
+    return {key: value for key, value in asdict(row).items() if key not in PROSE}
+
+
+def _hash(content: Any) -> str:
+    text = json.dumps(content, sort_keys=True, separators=(',', ':'))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@cache
+def topic_hashes() -> dict[str, str]:
+    """Return a hash of what each row and family means: fields, profile and texts of its types."""
+    topics, profiles = contract()
+    hashes = {}
+    for name, row in (topics | families()).items():
+        texts = [schema_text(kind) for kind in (row.type, row.alternative) if kind]
+        hashes[name] = _hash([_meaning(row), asdict(profiles[row.profile]), texts])[:HASH]
+    return hashes
 
 
 @cache
@@ -58,17 +86,13 @@ def contract_hash() -> str:
     """
     Return the SHA-256 of the contract in hexadecimal: topics, profiles and texts of all types.
 
-    What is said for people only (meaning, publisher, subscribers) does not count.
+    What is said for people only (meaning, publisher, subscribers) does not count. Bags from
+    before topic_hashes() have this alone.
     """
     topics, profiles = contract()
-    rows = [
-        {key: value for key, value in asdict(row).items() if key not in PROSE}
-        for _, row in sorted(topics.items())
-    ]
+    rows = [_meaning(row) for _, row in sorted(topics.items())]
     kinds = {name: asdict(profile) for name, profile in profiles.items()}
-    texts = {kind: schema_text(kind) for kind in wire_types()}
-    content = json.dumps([rows, kinds, texts], sort_keys=True, separators=(',', ':'))
-    return hashlib.sha256(content.encode()).hexdigest()
+    return _hash([rows, kinds, {kind: schema_text(kind) for kind in wire_types()}])
 
 
 @cache

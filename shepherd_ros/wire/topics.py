@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
+import re
+from typing import Any
 
+from shepherd_ros.config import unknown_name
 from shepherd_ros.resources import share_file
 import yaml
 
@@ -21,7 +24,11 @@ class Profile:
 
 @dataclass(frozen=True)
 class Topic:
-    """One line of the contract; {h} in the name stands for the index of a shepherd."""
+    """
+    One line of the contract; {h} in the name stands for the index of a shepherd.
+
+    publisher and subscribers are executables, or roles: controller is each that answers poses.
+    """
 
     name: str
     type: str
@@ -35,15 +42,63 @@ class Topic:
 
 
 @cache
+def _table() -> Any:
+    """Return what the file holds."""
+    return yaml.safe_load(share_file('msg_schemas', 'topics.yaml').read_text(encoding='utf-8'))
+
+
+def _rows(part: str) -> dict[str, Topic]:
+    """Return the rows of a part of the file by name."""
+    many = ('publisher', 'subscribers')
+    return {
+        row['name']: Topic(**row | {name: tuple(row[name]) for name in many})
+        for row in _table()[part]
+    }
+
+
+@cache
 def contract() -> tuple[dict[str, Topic], dict[str, Profile]]:
     """Return topics by name and profiles by name."""
-    data = yaml.safe_load(share_file('msg_schemas', 'topics.yaml').read_text(encoding='utf-8'))
-    topics = {}
-    for row in data['topics']:
-        for many in ('publisher', 'subscribers'):
-            row[many] = tuple(row[many])
-        topics[row['name']] = Topic(**row)
-    return topics, {name: Profile(**row) for name, row in data['profiles'].items()}
+    return _rows('topics'), {name: Profile(**row) for name, row in _table()['profiles'].items()}
+
+
+@cache
+def families() -> dict[str, Topic]:
+    """Return the rows that stand for many topics, as {member} in their names may be any word."""
+    return _rows('families')
+
+
+def topic_pattern(name: str, shepherd: str = re.escape('{h}')) -> str:
+    """Return a regular expression for the topics of a row; shepherd is that of an index."""
+    text = re.escape(name).replace(re.escape('{h}'), shepherd)
+    return text.replace(re.escape('{member}'), r'(?P<member>[a-z][a-z0-9_]*)')
+
+
+def member(family: Topic, name: str, **values: Any) -> Topic:
+    """Return the row of one topic of a family; values are others of its fields."""
+    return replace(family, name=family.name.replace('{member}', name), **values)
+
+
+def row_of(name: str) -> Topic:
+    """Return the row of a topic, of the contract or of a family in it, or raise ConfigError."""
+    topics = contract()[0]
+    if name in topics:
+        return topics[name]
+    for family in families().values():
+        match = re.fullmatch(topic_pattern(family.name), name)
+        if match is not None:
+            return member(family, match['member'])
+    raise unknown_name('topic', name, list(topics))
+
+
+def topic_text(row: Topic) -> str:
+    """Return a row as it stands in the file."""
+    lines = []
+    for key, value in asdict(row).items():
+        if value:
+            text = f'[{", ".join(value)}]' if isinstance(value, tuple) else value
+            lines.append(f'{key}: ' + (f"'{text}'" if text.isdigit() else text))
+    return '- ' + '\n  '.join(lines) + '\n'
 
 
 def topic_table() -> str:
@@ -52,17 +107,17 @@ def topic_table() -> str:
         '| topic | type | quality | frame | unit | from | to | meaning |',
         '|---|---|---|---|---|---|---|---|',
     ]
-    for topic in contract()[0].values():
-        kinds = [kind.replace('/msg/', '/') for kind in (topic.type, topic.alternative) if kind]
+    for row in contract()[0].values():
+        kinds = [kind.replace('/msg/', '/') for kind in (row.type, row.alternative) if kind]
         cells = (
-            f'`{topic.name}`',
+            f'`{row.name}`',
             ' or '.join(kinds),
-            topic.profile,
-            topic.frame,
-            topic.unit,
-            ', '.join(topic.publisher),
-            ', '.join(topic.subscribers),
-            topic.meaning,
+            row.profile,
+            row.frame,
+            row.unit,
+            ', '.join(row.publisher),
+            ', '.join(row.subscribers),
+            row.meaning,
         )
         rows.append('| ' + ' | '.join(cells) + ' |')
     return '\n'.join(rows) + '\n'

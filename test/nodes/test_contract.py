@@ -32,6 +32,7 @@ NODES = {  # node -> executable, parameters, shepherds that it serves
     'metrics': ('metrics', {}, []),
     'policy': ('policy', {'shepherd_ids': [1]}, [1]),
 }
+ROLES = {'strombom': 'controller'}
 Stack = dict[str, Process]
 
 
@@ -63,7 +64,8 @@ def named(role: str) -> set[tuple[str, str, str]]:
     ends = set()
     for row in TOPICS.values():
         for node, (executable, _, shepherds) in NODES.items():
-            if executable in getattr(row, role):
+            names = {executable, ROLES.get(executable, executable)}
+            if names & set(getattr(row, role)):
                 for h in shepherds if '{h}' in row.name else [0]:
                     ends.add((name_of(row.name, h), row.type, node))
     return ends

@@ -25,7 +25,7 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.recordings.check import check_bag, CheckResult
 from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.rosbag2.writer import BagWriter, LOST_KEY
-from shepherd_ros.wire.contract import contract_hash
+from shepherd_ros.wire.contract import contract_hash, topic_hashes
 from shepherd_ros.wire.decode import decode_string
 
 MESSAGES = recording()[0]
@@ -225,6 +225,31 @@ def test_types_schemas_and_contract_have_to_be_ours(tmp_path: Path) -> None:
         writer.add_topic('/clock', 'rosgraph_msgs/msg/Clock', schema=('ros2msg', b'int32 x'))
     kinds = [f.kind for f in check_bag(open_bag(tmp_path / 'schema')).findings]
     assert kinds == ['schema', 'absent']
+
+
+def test_each_topic_of_a_bag_has_to_mean_the_same(tmp_path: Path) -> None:
+    hashes = topic_hashes()
+    missing = {name: text for name, text in hashes.items() if name != 'metrics/flock_spread'}
+    cases = {
+        'another topic': (hashes | {'metrics/new': 'x'}, []),
+        'one that we have since': (missing, []),
+        'its meaning': (hashes | {'metrics/flock_spread': 'x'}, ['/metrics/flock_spread']),
+        'a meaning that is not there': (hashes | {'goal_pose': 'x'}, []),
+    }
+    for name, (said, wrong) in cases.items():
+        data = {'shepherd_ros.contract': 'abc', 'shepherd_ros.topics': json.dumps(said)}
+        found = check_bag(open_bag(write(tmp_path / name, MESSAGES, custom_data=data))).findings
+        assert [(f.kind, f.topic) for f in found] == [('contract', topic) for topic in wrong]
+    for text in ('[', '[1]', '7'):
+        data = {'shepherd_ros.contract': 'abc', 'shepherd_ros.topics': text}
+        (bad,) = check_bag(open_bag(write(tmp_path / text, MESSAGES, custom_data=data))).findings
+        assert bad.kind == 'metadata'
+
+
+def test_a_bag_from_before_topics_had_hashes_is_ok(tmp_path: Path) -> None:
+    before = '57135bfda311c7fd6e26293ad7e9721224dca443640b9455ced35affab933188'
+    bag = write(tmp_path / 'bag', MESSAGES, custom_data={'shepherd_ros.contract': before})
+    assert check_bag(open_bag(bag)).ok
 
 
 def test_a_bag_of_another_recorder_needs_no_hash(tmp_path: Path) -> None:

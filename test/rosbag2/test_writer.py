@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+import json
 from pathlib import Path
 import resource
 import signal
@@ -26,7 +27,7 @@ from shepherd_ros.rosbag2.metadata import Metadata
 from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.rosbag2.recover import recover
 from shepherd_ros.rosbag2.writer import BagWriter
-from shepherd_ros.wire.contract import contract_hash, known, type_hash
+from shepherd_ros.wire.contract import contract_hash, known, topic_hashes, type_hash
 from shepherd_ros.wire.schemas import schema_text, wire_types
 import yaml
 
@@ -150,6 +151,7 @@ def test_the_bag_explains_itself(tmp_path: Path) -> None:
         'run': '12',
         'shepherd_ros.version': shepherd_ros.__version__,
         'shepherd_ros.contract': contract_hash(),
+        'shepherd_ros.topics': json.dumps(topic_hashes(), separators=(',', ':')),
         'shepherd_ros.episode': episode.data,  # type: ignore[attr-defined]
     }
 
