@@ -110,9 +110,27 @@ class Config:
             for value in [getattr(self, f.name)]
         }
 
+    def changes(self) -> dict[str, Any]:
+        """Return plain nested data of what differs from the defaults; from_dict() reads it too."""
+        found: dict[str, Any] = {}
+        for f in fields(self):
+            value, default = getattr(self, f.name), f.default
+            if isinstance(value, Config):
+                value, default = value.changes(), {}
+            if value != default:
+                found[f.name] = value
+        return found
+
+    def equals(self, stored: Any) -> bool:
+        """Return whether data that to_dict() gave is of this; what it lacks has its default."""
+        try:
+            return type(self).from_dict(mapping(type(self).__name__, stored)) == self
+        except ConfigError:
+            return False
+
     @classmethod
     def from_dict(cls: type[C], data: Mapping[str, Any]) -> C:
-        """Return the configuration that to_dict() gave; unknown names are an error."""
+        """Return the configuration that to_dict() gave; absent is default, unknown an error."""
         known = {f.name: f for f in fields(cls)}
         values: dict[str, Any] = {}
         for name, value in data.items():

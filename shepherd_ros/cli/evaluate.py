@@ -13,6 +13,7 @@ import tyro
 
 if TYPE_CHECKING:
     from shepherd_ros.experiments.catalog import Experiment
+    from shepherd_ros.experiments.results import Rows
     from shepherd_ros.experiments.setting import Setting
 
 
@@ -61,9 +62,10 @@ class Evaluate:
 
     def run(self) -> int:
         """Run what is missing; return the exit code."""
-        from shepherd_ros.experiments.campaign import codes_of, is_done, plan, run_tasks, shard_of
+        from shepherd_ros.experiments.campaign import codes_of, done_of, plan, run_tasks, shard_of
         from shepherd_ros.experiments.catalog import experiments
         from shepherd_ros.experiments.cells import Cell
+        from shepherd_ros.experiments.results import rows_in
         from shepherd_ros.learning.distributed import rank, ranks, wait_for_all
 
         if self.workers < 1:
@@ -79,7 +81,9 @@ class Evaluate:
             self.out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise UserError(f'--out is {self.out}: expected a folder ({error.strerror})') from None
-        there = {task for task in mine if is_done(self.out, task)}
+        rows = rows_in(self.out)
+        wait_for_all()  # a file that is read is not replaced meanwhile
+        there = done_of(mine, rows)
         missing = [task for task in mine if task not in there]
         columns = Progress.get_default_columns()[:3]
         ended: list[Cell] = []
@@ -93,7 +97,7 @@ class Evaluate:
                 'core are left'
             )
             code = commit()
-            others = [name for name in codes_of(self.out, there) if name != code]
+            others = [name for name in codes_of(there, rows) if name != code]
             if others:
                 print(
                     f'done by other code: {", ".join(name or "unknown" for name in others)}; this '
@@ -107,8 +111,10 @@ class Evaluate:
 
             run_tasks(self.out, missing, self.workers, code, done)
         wait_for_all()
-        if rank() == 0 and all(is_done(self.out, task) for task in tasks.values()):
-            self.write_tables(chosen)
+        if rank() == 0:
+            rows = rows_in(self.out)
+            if len(done_of(tasks.values(), rows)) == len(tasks):
+                self.write_tables(chosen, rows)
         return 0
 
     def changed(self, experiment: Experiment) -> Experiment:
@@ -137,13 +143,11 @@ class Evaluate:
             episodes=episodes if self.episodes is None else self.episodes,
         )
 
-    def write_tables(self, chosen: list[Experiment]) -> None:
+    def write_tables(self, chosen: list[Experiment], rows: Rows) -> None:
         """Write a table of each experiment beside the rows, and say where."""
-        from shepherd_ros.experiments.results import read_rows
         from shepherd_ros.experiments.samples import samples_of
         from shepherd_ros.experiments.table import markdown
 
-        rows = read_rows([self.out])
         for experiment in chosen:
             samples = samples_of(rows, experiment)
             if samples is not None:

@@ -170,8 +170,8 @@ def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
         'version': __version__,
         'torch': torch.__version__,
         'config': {
-            'policy': policy.config.to_dict(),
-            'run': config.to_dict(),
+            'policy': policy.config,
+            'run': config,
             'start': arguments.start,
         },
     }

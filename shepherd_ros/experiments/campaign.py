@@ -10,10 +10,12 @@ import os
 from pathlib import Path
 from threading import Thread
 
+import numpy as np
+from shepherd_ros import __version__
 from shepherd_ros.config import ConfigError
-from shepherd_ros.experiments.cells import Cell, cell_file, key_of, run_into, TOGETHER
+from shepherd_ros.experiments.cells import Cell, run_into, TOGETHER
 from shepherd_ros.experiments.methods import checkpoint_hash, full_name
-from shepherd_ros.experiments.results import read_table
+from shepherd_ros.experiments.results import key_of, Rows
 from shepherd_ros.experiments.setting import Setting, settled
 from shepherd_ros.memory import keep_memory
 import torch
@@ -43,22 +45,28 @@ def plan(
     for name in dict.fromkeys(map(full_name, controllers)):
         for setting in dict.fromkeys(map(settled, settings)):
             whole = Cell(setting, name, seed, episodes)
-            key = key_of(whole.config(), checkpoint_hash(name))
+            key = key_of(whole.config(), checkpoint_hash(name), __version__)
             for first, count in seed_batches(seed, episodes):
                 cell = replace(whole, first=first, count=count)
                 tasks.setdefault((key, first), Task(cell, key))
     return list(tasks.values())
 
 
-def is_done(folder: Path, task: Task) -> bool:
-    """Return whether the rows of a cell are there."""
-    return cell_file(folder, task.cell, task.key).exists()
+def done_of(tasks: Iterable[Task], rows: Rows) -> set[Task]:
+    """Return the tasks of which all rows are there."""
+    return {
+        task
+        for task in tasks
+        if rows.seeds.get(task.key, set()).issuperset(
+            range(task.cell.first, task.cell.first + task.cell.count)
+        )
+    }
 
 
-def codes_of(folder: Path, tasks: Iterable[Task]) -> list[str]:
+def codes_of(tasks: Iterable[Task], rows: Rows) -> list[str]:
     """Return the commits that made the rows of done cells, ascending."""
-    tables = (read_table(cell_file(folder, task.cell, task.key)) for task in tasks)
-    return sorted({code for table in tables for code in table.column('code').to_pylist()})
+    mine = np.isin(rows.columns['key'], list({task.key for task in tasks}))
+    return sorted(set(rows.columns['code'][mine].tolist()))
 
 
 def shard_of(tasks: Sequence[Task], shard: str) -> list[Task]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import pyarrow as pa  # type: ignore[import-untyped]
 from shepherd_ros import __version__
 from shepherd_ros.experiments.methods import checkpoint_hash, make_method
-from shepherd_ros.experiments.results import table_of, VALUES, write_rows
+from shepherd_ros.experiments.results import key_of, table_of, value_names, write_rows
 from shepherd_ros.experiments.runner import run_episodes
 from shepherd_ros.experiments.setting import env_config, Setting, settled
 
@@ -43,12 +42,6 @@ class Cell:
         return 1e-6 * (100.0 + flock + policy) * self.count * self.setting.steps
 
 
-def key_of(config: dict[str, Any], checkpoint: str) -> str:
-    """Return the hash by which the rows of a configuration are found again."""
-    text = json.dumps([config, checkpoint, __version__], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
 def cell_file(folder: Path, cell: Cell, key: str) -> Path:
     """Return the file of the rows of a cell."""
     name = cell.controller.partition(':')[0]
@@ -62,14 +55,14 @@ def run_cell(cell: Cell, code: str = '') -> pa.Table:
     result = run_episodes(env_config(cell.setting), controller, cell.first, cell.count)
     checkpoint = checkpoint_hash(cell.controller)
     constants = settled(cell.setting).to_dict() | {
-        'key': key_of(config, checkpoint),
+        'key': key_of(config, checkpoint, __version__),
         'controller': cell.controller,
         'config': json.dumps(config),
         'checkpoint_sha256': checkpoint,
         'version': __version__,
         'code': code,
     }
-    columns: dict[str, Any] = {name: result[name].double().tolist() for name in VALUES}
+    columns: dict[str, Any] = {name: result[name].double().tolist() for name in value_names()}
     columns['seed'] = list(range(cell.first, cell.first + cell.count))
     return table_of(constants, columns)
 

@@ -3,36 +3,75 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
-from functools import cached_property
+from dataclasses import fields, replace
+from functools import cache, cached_property
+import hashlib
 import json
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
 from pyarrow import parquet
-from shepherd_ros.config import ConfigError
+from shepherd_ros.config import ConfigError, mapping
+from shepherd_ros.controllers import controller_type
 from shepherd_ros.experiments.setting import FIELDS, Setting
+from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.metrics import METRICS
 
 FORMAT = {b'shepherd_ros': b'episodes 1'}
 KINDS = {int: pa.int64(), float: pa.float64(), bool: pa.bool_(), str: pa.string()}
-VALUES = (*METRICS, 'return')
-SCHEMA = pa.schema(
-    [
-        ('key', pa.string()),  # hash of all that decides the episodes but their seeds
-        ('controller', pa.string()),
-        *((f.name, KINDS[type(f.default)]) for f in fields(Setting) if f.name in FIELDS),
-        ('seed', pa.int64()),
-        *((name, pa.float64()) for name in VALUES),
-        ('config', pa.string()),  # JSON: environment and controller, whole
-        ('checkpoint_sha256', pa.string()),
-        ('version', pa.string()),
-        ('code', pa.string()),  # commit, if the package ran from a checkout
-    ],
-    metadata=FORMAT,
-)
+
+
+def value_names() -> tuple[str, ...]:
+    """Return what is counted in every episode: the metrics and `return`."""
+    return (*METRICS, 'return')
+
+
+def schema() -> pa.Schema:
+    """Return the columns of rows."""
+    return pa.schema(
+        [
+            ('key', pa.string()),  # key_of() what decides the episodes but their seeds
+            ('controller', pa.string()),
+            *((f.name, KINDS[type(f.default)]) for f in fields(Setting) if f.name in FIELDS),
+            ('seed', pa.int64()),
+            *((name, pa.float64()) for name in value_names()),
+            ('config', pa.string()),  # JSON: environment and controller, whole
+            ('checkpoint_sha256', pa.string()),
+            ('version', pa.string()),
+            ('code', pa.string()),  # commit, if the package ran from a checkout
+        ],
+        metadata=FORMAT,
+    )
+
+
+def key_of(config: Mapping[str, Any], checkpoint: str, version: str) -> str:
+    """
+    Return the hash by which rows are found again, or raise ConfigError.
+
+    config is the environment and the controller, whole. Only what differs from the defaults
+    counts: an option that comes later changes no key.
+    """
+    options = dict(mapping('controller', config.get('controller')))
+    name = str(options.pop('name', ''))
+    kind = controller_type(name.partition(':')[0]).config_type
+    decided = {
+        'env': EnvConfig.from_dict(mapping('env', config.get('env'))).changes(),
+        'controller': {'name': name, **kind.from_dict(options).changes()},
+    }
+    text = json.dumps([decided, checkpoint, version], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@cache
+def _stored_key(key: str, config: str, checkpoint: str, version: str) -> str:
+    """Return the key of a stored row; the one it has if its configuration is not known here."""
+    try:
+        return key_of(json.loads(config), checkpoint, version)
+    except ConfigError:
+        return key
 
 
 def table_of(constants: Mapping[str, Any], columns: Mapping[str, Sequence[Any]]) -> pa.Table:
@@ -40,9 +79,9 @@ def table_of(constants: Mapping[str, Any], columns: Mapping[str, Sequence[Any]])
     count = len(next(iter(columns.values())))
     arrays = [
         pa.array(columns[f.name] if f.name in columns else [constants[f.name]] * count, f.type)
-        for f in SCHEMA
+        for f in schema()
     ]
-    return pa.table(arrays, schema=SCHEMA)
+    return pa.table(arrays, schema=schema())
 
 
 def write_rows(path: Path, table: pa.Table) -> None:
@@ -67,7 +106,12 @@ def files_of(paths: Sequence[Path]) -> list[Path]:
 
 
 def read_table(path: Path) -> pa.Table:
-    """Return the rows of one file, or raise ConfigError if it is not one of ours."""
+    """
+    Return the rows of one file, or raise ConfigError if it is not one of ours.
+
+    An option of the setting that it does not have has its default, a metric is NaN, and columns
+    that are not known are left out. Keys are those of this version.
+    """
     try:
         table = parquet.read_table(path)
     except (pa.ArrowException, OSError) as error:
@@ -77,9 +121,21 @@ def read_table(path: Path) -> pa.Table:
         raise ConfigError(
             f'{path} is no table of episodes: expected what shepherd evaluate writes'
         )
-    if table.schema.names != SCHEMA.names or table.schema.types != SCHEMA.types:
-        raise ConfigError(f'{path} has other columns: run shepherd evaluate again')
-    return table
+    defaults = Setting().to_dict() | dict.fromkeys(value_names(), math.nan)
+    there = dict(zip(table.schema.names, table.schema.types, strict=True))
+    arrays = []
+    for f in schema():
+        if there.get(f.name, f.type if f.name in defaults else None) != f.type:
+            raise ConfigError(
+                f'{path} has other columns: {f.name} is {there.get(f.name, "not there")}, '
+                f'expected {f.type}; run shepherd evaluate again'
+            )
+        missing = [] if f.name in there else [defaults[f.name]] * len(table)
+        arrays.append(table.column(f.name) if f.name in there else pa.array(missing, f.type))
+    identity = ('key', 'config', 'checkpoint_sha256', 'version')
+    rows = zip(*(table.column(name).to_pylist() for name in identity), strict=True)
+    arrays[0] = pa.array([_stored_key(*row) for row in rows], pa.string())
+    return pa.table(arrays, schema=schema())
 
 
 class Rows:
@@ -92,9 +148,8 @@ class Rows:
         first = np.ones(len(order), bool)
         first[1:] = (key[order][1:] != key[order][:-1]) | (seed[order][1:] != seed[order][:-1])
         self.table = table.take(pa.array(order[first]))
-        self.columns = {
-            name: self.table.column(name).to_numpy() for name in SCHEMA.names if name != 'config'
-        }
+        names = [name for name in self.table.schema.names if name != 'config']
+        self.columns = {name: self.table.column(name).to_numpy() for name in names}
 
     def __len__(self) -> int:
         """Return the number of episodes."""
@@ -107,21 +162,47 @@ class Rows:
             mask &= self.columns[name] == value
         return mask
 
-    def in_environment(self, environment: Mapping[str, Any]) -> np.ndarray:
-        """Return which rows are of this environment, whatever its setting was called; (rows,)."""
-        keys = [key for key, found in self._environments.items() if found == environment]
-        return np.isin(self.columns['key'], keys)
+    def in_environment(self, environment: EnvConfig) -> np.ndarray:
+        """Return which rows are of this environment, however long and called; (rows,) bool."""
+        return np.isin(self.columns['key'], self._keys.get(_timeless(environment), []))
 
     @cached_property
-    def _environments(self) -> dict[str, Any]:
-        """The configuration of the environment by key."""
+    def _keys(self) -> dict[EnvConfig, list[str]]:
+        """Keys by environment, without its number of steps."""
         _, first = np.unique(self.columns['key'], return_index=True)
-        few = self.table.select(['key', 'config']).take(pa.array(first)).to_pylist()
-        return {row['key']: json.loads(row['config']).get('env') for row in few}
+        found: dict[EnvConfig, list[str]] = {}
+        for row in self.table.select(['key', 'config']).take(pa.array(first)).to_pylist():
+            try:
+                env = mapping('env', json.loads(row['config']).get('env'))
+                environment = _timeless(EnvConfig.from_dict(env))
+            except ConfigError:  # of something that is not known here
+                continue
+            found.setdefault(environment, []).append(row['key'])
+        return found
+
+    @cached_property
+    def seeds(self) -> dict[str, set[int]]:
+        """Seeds of the episodes by key."""
+        found: dict[str, set[int]] = {}
+        for key, seed in zip(self.columns['key'], self.columns['seed'], strict=True):
+            found.setdefault(key, set()).add(int(seed))
+        return found
 
     def distinct(self, name: str) -> list[Any]:
         """Return the values of a column, ascending."""
         return sorted(set(self.columns[name].tolist()))
+
+
+def _timeless(environment: EnvConfig) -> EnvConfig:
+    """Return an environment with the default number of steps."""
+    steps = EnvConfig().world.episode_steps
+    return replace(environment, world=replace(environment.world, episode_steps=steps))
+
+
+def rows_in(folder: Path) -> Rows:
+    """Return the rows of a folder, which may have none yet; or raise ConfigError."""
+    paths = sorted(folder.rglob('*.parquet'))
+    return read_rows(paths) if paths else Rows(schema().empty_table())
 
 
 def read_rows(paths: Sequence[Path]) -> Rows:

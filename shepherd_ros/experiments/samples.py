@@ -11,8 +11,8 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.experiments.bootstrap import Array
 from shepherd_ros.experiments.catalog import Experiment, QUICK_STEPS
 from shepherd_ros.experiments.methods import in_order
-from shepherd_ros.experiments.results import Rows, VALUES
-from shepherd_ros.experiments.setting import describe, env_config, FIELDS, Setting, settled
+from shepherd_ros.experiments.results import Rows, value_names
+from shepherd_ros.experiments.setting import describe, env_config, Setting, settled
 
 FLOORS = ('idle', 'random')
 
@@ -62,9 +62,8 @@ def samples_of(
     cells: dict[tuple[str, int], np.ndarray] = {}  # controller, setting -> indices of rows
     settings = list(dict.fromkeys(map(settled, experiment.settings)))
     for place, setting in enumerate(settings):
-        wanted = {name: getattr(setting, name) for name in FIELDS if name != 'steps'}
         # two settings can be the same world: a preset, and what it changes
-        mask = rows.where(**wanted) | rows.in_environment(env_config(setting).to_dict())
+        mask = rows.in_environment(env_config(setting))
         for name in sorted(set(rows.columns['controller'][mask].tolist())):
             if name in FLOORS and name not in experiment.controllers:
                 continue  # rows of the table, which would clutter a figure
@@ -89,12 +88,12 @@ def samples_of(
     values = {
         (name, metric): np.full((len(present), len(seeds)), np.nan)
         for name in {name for name, _ in cells}
-        for metric in VALUES
+        for metric in value_names()
     }
     for (name, place), index in cells.items():
         chosen = index[np.isin(rows.columns['seed'][index], seeds)]
         chosen = chosen[np.argsort(rows.columns['seed'][chosen])]
-        for metric in VALUES:
+        for metric in value_names():
             values[name, metric][present.index(place)] = rows.columns[metric][chosen]
     out = tuple(in_order(list(count.keys() - {name for name, _ in cells})))
     there = tuple(settings[p] for p in present)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pickle
 from typing import Any
 
-from shepherd_ros.config import ConfigError
+from shepherd_ros.config import Config, ConfigError
 from shepherd_ros.learning.distributed import rank
 from shepherd_ros.policy.checkpoint import save_policy
 from shepherd_ros.policy.policy import Policy
@@ -30,16 +30,24 @@ class Run:
     """
 
     def __init__(self, folder: Path, record: Mapping[str, Any]) -> None:
-        """Make the folder, or find the run that it holds; record is plain data."""
-        self.folder, self.record = folder, dict(record)
+        """Make the folder, or find its run; record is plain data but for parts of its config."""
+        asked_for = record['config']
+        config = {
+            name: value.to_dict() if isinstance(value, Config) else value
+            for name, value in asked_for.items()
+        }
+        self.folder, self.record = folder, {**record, 'config': config}
         self.best = folder / 'best.safetensors'
         self.best_score = -math.inf
         self.state = folder / (f'state_{rank()}.pt' if rank() else 'state.pt')
         asked = folder / 'run.json'
         folder.mkdir(parents=True, exist_ok=True)
         if asked.exists():
-            before = json.loads(asked.read_text(encoding='utf-8'))
-            if before['config'] != json.loads(json.dumps(self.record['config'])):
+            before = json.loads(asked.read_text(encoding='utf-8'))['config']
+            if before.keys() != asked_for.keys() or not all(
+                value.equals(before[name]) if isinstance(value, Config) else value == before[name]
+                for name, value in asked_for.items()
+            ):
                 raise ConfigError(
                     f'{folder} holds a run with another configuration: expected the same to go '
                     'on with it; choose another --out, or remove the folder'

@@ -79,6 +79,11 @@ class WorldConfig(Config):
         data = super().to_dict()
         return data | {'flock': {'model': model_of(self.flock).name, **data['flock']}}
 
+    def changes(self) -> dict[str, Any]:
+        """Return what differs from the defaults, and always the name of the flock model."""
+        flock = {'model': model_of(self.flock).name, **self.flock.changes()}
+        return super().changes() | {'flock': flock}
+
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> WorldConfig:
         """Return the configuration that to_dict() gave, or raise ConfigError."""

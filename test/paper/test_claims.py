@@ -18,7 +18,14 @@ from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
 from shepherd_ros.experiments.bootstrap import drawn_again, mean_interval
 from shepherd_ros.experiments.catalog import EXPERIMENTS, QUICK_STEPS
-from shepherd_ros.experiments.results import read_rows, Rows, SCHEMA, table_of, VALUES, write_rows
+from shepherd_ros.experiments.results import (
+    read_rows,
+    Rows,
+    schema,
+    table_of,
+    value_names,
+    write_rows,
+)
 from shepherd_ros.experiments.samples import Samples, samples_of
 from shepherd_ros.experiments.setting import env_config, Setting, settled
 from shepherd_ros.experiments.table import grid, grids, interval_text, markdown
@@ -61,10 +68,12 @@ def made_up(setting: Setting, controller: str, **values: Any) -> pa.Table:
     """Return rows of a cell, one for each of the values of a metric."""
     count = len(next(iter(values.values())))
     constants = settled(setting).to_dict() | {
-        'key': f'{controller} {setting}', 'controller': controller, 'config': '{}',
+        'key': f'{controller} {setting}', 'controller': controller,
+        'config': json.dumps({'env': env_config(setting).to_dict()}),
         'checkpoint_sha256': '', 'version': '1', 'code': '',
     }  # fmt: skip
-    columns = {name: [0.0] * count for name in VALUES} | values | {'seed': list(range(count))}
+    columns = {name: [0.0] * count for name in value_names()} | values
+    columns['seed'] = list(range(count))
     return table_of(constants, columns)
 
 
@@ -479,7 +488,7 @@ def test_rows_that_are_not_ours_are_refused(
     torn.write_bytes(b'PAR1 no')
     empty.mkdir()
     old = tmp_path / 'o.parquet'
-    table = made_up(Setting(), 'idle', completion_time=[1.0]).drop_columns(['goal_distance'])
+    table = made_up(Setting(), 'idle', completion_time=[1.0]).drop_columns(['seed'])
     parquet.write_table(table, old)
     for path, message in (
         (foreign, 'is no table of episodes'),
@@ -498,7 +507,7 @@ def test_rows_of_two_kinds_are_not_mixed(tmp_path: Path) -> None:
     other = replace(EXPERIMENTS['fig4'], controllers=('idle',))
     with pytest.raises(ConfigError, match='rows with steps 5 and 1000 are mixed'):
         samples_of(Rows(pa.concat_tables([short, whole])), other)
-    again = whole.set_column(0, SCHEMA.field('key'), pa.array(['another']))
+    again = whole.set_column(0, schema().field('key'), pa.array(['another']))
     with pytest.raises(ConfigError, match='rows of 2 configurations or checkpoints'):
         samples_of(Rows(pa.concat_tables([whole, again])), other)
 
@@ -509,7 +518,7 @@ def test_the_page_has_every_statement_and_the_same_bytes_again(tmp_path: Path) -
         experiment = EXPERIMENTS[name]
         for controller in (POLICY, 'strombom', 'pierson'):
             for k, setting in enumerate(experiment.settings):
-                values = {m: [1.0 + k, 2.0 + k] for m in VALUES}
+                values = {m: [1.0 + k, 2.0 + k] for m in value_names()}
                 path = tmp_path / 'rows' / f'{name}_{controller[:3]}_{k}.parquet'
                 write_rows(path, made_up(setting, controller, **values))
     # the plain start without noise is in both, and counts once
