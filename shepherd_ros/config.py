@@ -102,6 +102,10 @@ class Config:
                 value = checked(f.name, getattr(self, f.name), f.default, f.metadata)
                 object.__setattr__(self, f.name, value)
 
+    def added(self) -> dict[str, tuple[Any, str]]:
+        """Return value and meaning of the options that plug-ins add; to_dict() has them, too."""
+        return {}
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain nested data, ready for JSON."""
         return {

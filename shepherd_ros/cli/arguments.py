@@ -25,8 +25,10 @@ def arguments_of(default: Config, hidden: tuple[str, ...] = ()) -> type[Any]:
         kind: Any = type(value)
         if choices := choices_of(f.metadata):
             kind = Literal[choices]
-        argument = tyro.conf.arg(help=f.metadata.get('doc', ''))
-        rows.append((f.name, Annotated[kind, argument], value))
+        if 'doc' in f.metadata:
+            rows.append((f.name, Annotated[kind, tyro.conf.arg(help=f.metadata['doc'])], value))
+    for name, (value, doc) in default.added().items():
+        rows.append((name, Annotated[type(value), tyro.conf.arg(help=doc)], value))
     return make_dataclass(type(default).__name__, rows, namespace={'__doc__': default.__doc__})
 
 

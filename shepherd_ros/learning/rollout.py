@@ -48,6 +48,7 @@ class Group:
         self.task, self.index, self.n_worlds, self.seed = task, index, n_worlds, seed
         self.lidar, self.count, self.device = lidar, count, device
         self.episode = 0
+        self.terms: dict[str, Tensor] = {}  # sums over steps of the mean of each term
 
     moment: Moment
     left: int  # steps until the episode is cut
@@ -82,16 +83,20 @@ class Group:
         """
         Hold a command (B, H, 2) m/s for some steps; return the sum of the rewards, (B, H).
 
-        What the way costs is each shepherd's own.
+        What the way costs, `effort`, is each shepherd's own, and no term of its team's reward.
         """
         total, effort = command.new_zeros(command.shape[:-1]), self.task.effort
         for _ in range(repeat):
             self.step(command)
             now = self.moment
             total += reward(now)
+            terms = now.reward_terms
             if effort > 0:
                 way = torch.linalg.vector_norm(now.state.shepherds - now.before.shepherds, dim=-1)
                 total -= effort * way
+                terms = terms | {'effort': -effort * way}
+            for name, term in terms.items():
+                self.terms[name] = self.terms.get(name, 0.0) + term.mean()
         return total
 
 
@@ -197,7 +202,7 @@ class Rollout:
     @torch.no_grad()
     def collect(self, gamma: float, decay: float, scale: float) -> tuple[Batch, dict[str, float]]:
         """
-        Make the decisions; return them and means of the reward.
+        Make the decisions; return them and means of the reward and of its terms.
 
         scale multiplies the reward, so that values are of order one.
         """
@@ -208,6 +213,8 @@ class Rollout:
         density, value, next_value, reward = (torch.zeros(shape, device=device) for _ in range(4))
         ended = torch.zeros(shape[:2], dtype=torch.bool, device=CPU)
         everyone = torch.arange(len(self.groups), device=device)
+        for group in self.groups:
+            group.terms = {}
         for t in range(self.decisions):
             row = self.before + t
             who = self._present(row, everyone)
@@ -252,7 +259,16 @@ class Rollout:
         batch = Batch(
             self.rows_of(*who), self.first[who], action[at], density[at], value[at], gain[at]
         )
-        return batch, {'reward': float(reward.mean() / scale / repeat)}
+        return batch, {'reward': float(reward.mean() / scale / repeat)} | self._terms(repeat)
+
+    def _terms(self, repeat: int) -> dict[str, float]:
+        """Return the mean of each term of the reward over all worlds and steps."""
+        steps = len(self.groups) * self.decisions * repeat
+        names = dict.fromkeys(name for group in self.groups for name in group.terms)
+        return {
+            f'reward/{name}': float(sum(group.terms[name] for group in self.groups)) / steps
+            for name in names
+        }
 
     def roll(self) -> None:
         """Make room for the next decisions; the batch of the last ones is void afterwards."""

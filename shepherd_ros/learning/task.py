@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 import random
 
-from shepherd_ros.config import Config, ConfigError, option
+from shepherd_ros.config import Config, ConfigError, option, part
 from shepherd_ros.sim.flocking import BOTH, FLOCK_MODELS
 from shepherd_ros.sim.presets import home_world, training_world, world_preset
+from shepherd_ros.sim.reward import RewardConfig
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 
@@ -49,6 +50,7 @@ class TaskConfig(Config):
     effort: float = option(
         0.0, 'reward that a meter of its way costs a shepherd (choice: the paper has none)', low=0
     )
+    reward: RewardConfig = part(RewardConfig)
     episode_steps: int = option(400, 'steps after which a training episode is cut', low=1)
 
     def __post_init__(self) -> None:
@@ -83,7 +85,8 @@ def draw_environment(task: TaskConfig, seed: int) -> EnvConfig:
     base = home_world(base) if at_home else base
     weight = base.flock.repulsion_option
     flock_config = replace(base.flock, **({weight: repulsion} if weight else {}))
-    return EnvConfig(noise_std=noise, world=replace(base, n_sheep=sheep, flock=flock_config))
+    world = replace(base, n_sheep=sheep, flock=flock_config)
+    return EnvConfig(noise_std=noise, world=world, reward=task.reward)
 
 
 def base_world(task: TaskConfig, flock: str) -> WorldConfig:

@@ -45,7 +45,7 @@ def judge(
             spawn=replace(world.spawn, goal_radius_extra=0.0),
         )
         controller = LearnedController(LearnedConfig(), world, policy, dtype)
-        config, device = EnvConfig(world=world), str(policy.device)
+        config, device = EnvConfig(world=world, reward=task.reward), str(policy.device)
         results.append(run_episodes(config, controller, FIRST_SEED, count, device=device))
     means = {
         name: float(torch.cat([result[name] for result in results]).mean())

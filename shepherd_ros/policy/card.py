@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from shepherd_ros.policy.policy import Policy
@@ -68,11 +68,20 @@ def judged(results: Any) -> list[str]:
     return [*head, '', '| | mean |', '|---|--:|', *rows, '']
 
 
+def flat(data: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield names and values, a part.name for each of a part."""
+    for key, value in data.items():
+        if isinstance(value, Mapping):
+            yield from ((f'{key}.{name}', inner) for name, inner in flat(value))
+        else:
+            yield str(key), value
+
+
 def trained_for(config: Any) -> list[str]:
     """Return the worlds of its training."""
     run = config.get('run') if isinstance(config, Mapping) else None
     task = run.get('task') if isinstance(run, Mapping) else None
     if not isinstance(task, Mapping):
         return []
-    rows = [f'| {said(key)} | {said(value)} |' for key, value in task.items()]
+    rows = [f'| {said(key)} | {said(value)} |' for key, value in flat(task)]
     return ['## Worlds of its training', '', '| | |', '|---|--:|', *rows, '']

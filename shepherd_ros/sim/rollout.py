@@ -64,7 +64,8 @@ class Moment:
     @cached_property
     def reward_terms(self) -> dict[str, Tensor]:
         """Return the terms of the reward for the step that led here, (...) each."""
-        return reward_terms(self.state, self.config.reward, self.config.world.episode_steps)
+        config = self.config
+        return reward_terms(self.state, config.reward, config.world.episode_steps, self.before)
 
     @property
     def reward(self) -> Tensor:
