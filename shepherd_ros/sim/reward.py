@@ -57,6 +57,11 @@ class RewardConfig(Config):
         data = super().to_dict()
         return data | dict(data.pop('others'))
 
+    def changes(self) -> dict[str, Any]:
+        """Return plain data of what differs from the defaults."""
+        found = super().changes()
+        return found | dict(found.pop('others', ()))
+
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> RewardConfig:
         """Return the configuration that to_dict() gave, or raise ConfigError."""

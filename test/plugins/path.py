@@ -1,0 +1,16 @@
+"""A plug-in: a term of the reward."""
+
+from shepherd_ros.sim.reward import REWARD_TERMS, RewardTerm, Step
+import torch
+from torch import Tensor
+
+
+def path(step: Step, weight: float) -> Tensor:
+    """Return what the way of a team costs, mean over its shepherds; (...)."""
+    before, after = step.before, step.after
+    way = torch.linalg.vector_norm(after.shepherds - before.shepherds, dim=-1)
+    way = (way * after.shepherd_mask).sum(dim=-1) / after.team_size
+    return -weight * way / step.episode_steps
+
+
+REWARD_TERMS.add(RewardTerm('path', 'cost of a meter of way, mean over shepherds', path, low=0.0))
