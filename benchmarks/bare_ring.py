@@ -16,8 +16,8 @@ import rclpy
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import LaserScan
-from shepherd_ros.ros.messages import decode_poses
 from shepherd_ros.ros.runtime import make_executor
+from shepherd_ros.wire.decode import decode_stamp
 from shepherd_ros.wire.encode import encode_poses
 import torch
 
@@ -69,7 +69,7 @@ class Lidar(Node):
         """Send scans with the stamp of the poses."""
         for out in self.out:
             message = LaserScan(ranges=array('f', bytes(4 * 512)))
-            message.header.stamp.nanosec = decode_poses(raw)[0] % 10**9
+            message.header.stamp.nanosec = decode_stamp(raw) % 10**9
             out.publish(message)
 
 

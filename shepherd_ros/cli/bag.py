@@ -10,7 +10,7 @@ from shepherd_ros.cli.errors import UserError
 import tyro
 
 if TYPE_CHECKING:
-    from shepherd_ros.recordings.episodes import Episode
+    from shepherd_ros.recordings.episodes import RecordedEpisode
 
 Bags = tyro.conf.Positional[Path]
 DIFFERENT = 1  # exit code of check and diff when something was found
@@ -127,7 +127,7 @@ class Diff:
         return 0 if result.equal else DIFFERENT
 
 
-def one_episode(bag: Path, namespace: str | None, number: int) -> Episode:
+def one_episode(bag: Path, namespace: str | None, number: int) -> RecordedEpisode:
     """Return an episode of a bag, counted from 0, that has states; raises UserError."""
     from itertools import islice
 

@@ -47,8 +47,9 @@ class Counterfactual:
         """Drive on, write and draw; return the exit code."""
         from shepherd_ros.recordings.counterfactual import metrics_table, record_future
         from shepherd_ros.recordings.episodes import iter_episodes
-        from shepherd_ros.recordings.replay import description_of, track_of
+        from shepherd_ros.recordings.replay import track_of
         from shepherd_ros.rosbag2.reader import open_bag
+        from shepherd_ros.sim.world import WorldConfig
         from shepherd_ros.view.animation import animate
         from shepherd_ros.view.picture import draw_tracks
 
@@ -62,7 +63,7 @@ class Counterfactual:
                 f'{stamps[-1]:g} s'
             )
         at = max(k for k, stamp in enumerate(stamps) if stamp <= self.at + 1e-9)
-        controller = asked.make(description_of(recorded).world)
+        controller = asked.make(WorldConfig.from_dict(recorded.world))
         made_folder('--out', self.out)
         folder = self.out / 'bag'
         with Progress(transient=True) as progress:

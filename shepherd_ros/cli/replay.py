@@ -16,7 +16,7 @@ from shepherd_ros.cli.processes import is_executable, isolate, running
 import tyro
 
 if TYPE_CHECKING:
-    from shepherd_ros.recordings.episodes import Episode, Frame
+    from shepherd_ros.recordings.episodes import Frame, RecordedEpisode
     from shepherd_ros.recordings.grouping import Group
     from shepherd_ros.recordings.replay_check import Comparison
 
@@ -71,7 +71,9 @@ class Replay:
         print(result.text())
         return 0 if result.ok else DIFFERENT
 
-    def _episodes(self, result: Comparison) -> Iterator[tuple[Episode, list[Frame], Group]]:
+    def _episodes(
+        self, result: Comparison
+    ) -> Iterator[tuple[RecordedEpisode, list[Frame], Group]]:
         """Yield the episodes to compare with the states to ask about."""
         from shepherd_ros.recordings.episodes import episode_of, one_namespace
         from shepherd_ros.recordings.grouping import Groups
@@ -102,11 +104,12 @@ class Replay:
 
     def _ask_law(self, asked: Chosen, result: Comparison) -> None:
         """Compare what the law says."""
-        from shepherd_ros.recordings.replay import description_of, states_of
+        from shepherd_ros.recordings.replay import states_of
         from shepherd_ros.recordings.replay_check import core_answers
+        from shepherd_ros.sim.world import WorldConfig
 
         for episode, frames, _ in self._episodes(result):
-            controller = asked.make(description_of(episode).world)
+            controller = asked.make(WorldConfig.from_dict(episode.world))
             answers = core_answers(states_of(episode, frames), controller, asked.noise_std)
             for frame, (_, command) in zip(frames, answers, strict=True):
                 result.add(episode, frame, dict(enumerate(command.double().numpy())))
@@ -127,7 +130,7 @@ class Replay:
             silent: set[int] = set()
             for episode, frames, group in self._episodes(result):
                 if not processes.started:
-                    own = {'frame_id': episode.config['frame_id'], 'shepherd_ids': self._team()}
+                    own = {'frame_id': episode.frame_id, 'shepherd_ids': self._team()}
                     processes.start([Process(asked.name, asked.name, own | asked.parameters)])
                 questioner.begin(episode)
                 for frame in frames:

@@ -26,8 +26,8 @@ from shepherd_ros.datasets.lerobot_writer import (
     NUMBERS,
 )
 from shepherd_ros.datasets.steps import Steps
-from shepherd_ros.recordings.grouping import LARGEST_SHEEP, LARGEST_SHEPHERDS, LARGEST_STEPS
 from shepherd_ros.rosbag2.errors import BagError
+from shepherd_ros.sim.limits import MAX_SHEEP, MAX_SHEPHERDS, MAX_STEPS
 from shepherd_ros.wire.contract import CHANNELS
 
 FIX = 'build it again with `shepherd dataset build`'
@@ -37,10 +37,10 @@ LARGEST_FILE = 4 << 30  # [bytes] of Parquet
 LARGEST_RAYS = 65_536
 SIDES: tuple[Literal['left', 'right'], ...] = ('left', 'right')
 LIMITS = {  # lowest and highest number in columns of meta/episodes
-    'length': (1, LARGEST_STEPS), 'data/chunk_index': (0, 10**6), 'data/file_index': (0, 999),
+    'length': (1, MAX_STEPS), 'data/chunk_index': (0, 10**6), 'data/file_index': (0, 999),
     'bag_index': (0, LARGEST_RUNS), 'recorded_episode': (0, 2**62),
-    'n_sheep': (1, LARGEST_SHEEP), 'n_shepherds': (1, LARGEST_SHEPHERDS),
-    'shepherd': (0, LARGEST_SHEPHERDS - 1), 'first_step': (0, LARGEST_STEPS),
+    'n_sheep': (1, MAX_SHEEP), 'n_shepherds': (1, MAX_SHEPHERDS),
+    'shepherd': (0, MAX_SHEPHERDS - 1), 'first_step': (0, MAX_STEPS),
 }  # fmt: skip
 
 
@@ -83,7 +83,7 @@ class Dataset:
         first = self.runs['first_step'][chosen.start : chosen.stop]
         step = np.concatenate([s + np.arange(n) for s, n in zip(first, lengths, strict=True)])
         order = np.lexsort((shepherd, step))
-        key = (step * LARGEST_SHEPHERDS + shepherd)[order]
+        key = (step * MAX_SHEPHERDS + shepherd)[order]
         name = self.names[chosen.start]
         if (np.diff(key) <= 0).any() or shepherd.max() >= row['n_shepherds']:
             what = f'{name}:{row["recorded_episode"]} has a step twice, or too many shepherds'

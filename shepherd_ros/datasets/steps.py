@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from shepherd_ros.config import ConfigError
-from shepherd_ros.recordings.episodes import Episode
+from shepherd_ros.recordings.episodes import RecordedEpisode
 from shepherd_ros.wire.contract import CHANNELS
 from shepherd_ros.wire.decode import Floats, Ranges
 
@@ -50,7 +50,7 @@ class Steps:
         return f'{self.bag}:{self.episode}'
 
 
-def steps_of(episode: Episode, bag: str, number: int, refuse: Refuse) -> Steps:
+def steps_of(episode: RecordedEpisode, bag: str, number: int, refuse: Refuse) -> Steps:
     """
     Return the steps of an episode that have all: poses, scan and command of a shepherd.
 

@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
-import json
 from typing import Any
 
 import numpy as np
 import rclpy
 from rclpy.duration import Duration
-from shepherd_ros.recordings.episodes import Episode, Frame
+from shepherd_ros.recordings.episodes import Frame, RecordedEpisode
 from shepherd_ros.ros.intra_process import Output
-from shepherd_ros.ros.messages import decode_command
 from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.ros.runtime import make_executor
 from shepherd_ros.wire.contract import known
+from shepherd_ros.wire.decode import Vector
 from shepherd_ros.wire.encode import encode_clock, encode_goal, encode_text
 
 RESEND = 0.25  # [s] after which an unanswered state is shown again, as flock_sim does
@@ -39,13 +38,13 @@ class Questioner(ShepherdNode):
         self.asked_ns = 0
         self.answers: dict[int, np.ndarray] = {}  # to the last state: (2,) m/s by shepherd
 
-    def begin(self, episode: Episode) -> None:
+    def begin(self, episode: RecordedEpisode) -> None:
         """Announce a recorded episode."""
         for h in range(len(self.inputs), episode.n_shepherds):
             taker = partial(self.take, h)
-            self.inputs.append(self.listen('shepherd_{h}/cmd_vel', taker, h, raw=True))
-        self.world_frame, self.goal = episode.config['frame_id'], []
-        self.say('episode', encode_text(json.dumps(episode.config, sort_keys=True)), latched=True)
+            self.inputs.append(self.listen('shepherd_{h}/cmd_vel', taker, h))
+        self.world_frame, self.goal = episode.frame_id, []
+        self.say('episode', encode_text(episode.to_json()), latched=True)
 
     def ask(
         self,
@@ -88,11 +87,10 @@ class Questioner(ShepherdNode):
         if latched:
             self.outputs[topic].wait_for_all_acked(Duration(seconds=LATCHED))
 
-    def take(self, shepherd: int, raw: bytes) -> None:
+    def take(self, shepherd: int, command: Vector) -> None:
         """Keep a command if it answers the last state."""
-        ns, _, velocity = decode_command(raw)
-        if ns == self.asked_ns:
-            self.answers.setdefault(shepherd, np.array(velocity))
+        if command.stamp_ns == self.asked_ns:
+            self.answers.setdefault(shepherd, command.xy)
 
 
 @contextmanager

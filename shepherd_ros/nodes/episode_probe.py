@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from shepherd_ros.ros.node import nanoseconds, ShepherdNode
+from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.ros.runtime import make_executor
 from shepherd_ros.ros.world_subscriber import Listener
 from shepherd_ros.sim.lidar import CHANNELS
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.state import stack, WorldState
+from shepherd_ros.wire.decode import Scan
 from shepherd_ros.wire.episode import Episode
 
 
@@ -45,14 +46,13 @@ class Witness(ShepherdNode):
             self.states[ns] = state
             self.step = int(state.step)
 
-    def on_scan(self, channel: int, message: Any) -> None:
+    def on_scan(self, channel: int, scan: Scan) -> None:
         """Keep the ranges of one channel."""
-        ranges = np.frombuffer(message.ranges, np.float32)
-        self.scans.setdefault(nanoseconds(message.header.stamp), {})[channel] = ranges
+        self.scans.setdefault(scan.stamp_ns, {})[channel] = scan.ranges
 
-    def on_metric(self, name: str, message: Any) -> None:
+    def on_metric(self, name: str, value: float) -> None:
         """Keep the newest value of a metric."""
-        self.metrics[name] = message.data
+        self.metrics[name] = value
 
     @property
     def hears_all(self) -> bool:

@@ -8,16 +8,11 @@ import math
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from sensor_msgs.msg import LaserScan
 from shepherd_ros.nodes.pending_commands import CommandBuffer
-from shepherd_ros.ros.messages import (
-    decode_command,
-    decode_stamp,
-    decode_twist,
-    LARGEST_FLOAT32,
-)
 from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.sim.lidar import CHANNELS
+from shepherd_ros.sim.limits import MAX_FLOAT32
+from shepherd_ros.wire.decode import decode_stamp, Vector
 from shepherd_ros.wire.episode import Episode
 
 THROTTLE = 5.0  # [s] between two warnings of one kind
@@ -73,7 +68,7 @@ class CommandGate:
             self.node.destroy_subscription(self.inputs.pop())
         for h in range(len(self.inputs), episode.n_shepherds):
             self.inputs.append(
-                self.node.listen('shepherd_{h}/cmd_vel', self._receiver(h), h, kind=kind, raw=True)
+                self.node.listen('shepherd_{h}/cmd_vel', self._receiver(h), h, kind=kind)
             )
         scans = {
             f'shepherd_{h}/scan/{channel}': ('shepherd_{h}/scan/' + channel, h)
@@ -84,7 +79,8 @@ class CommandGate:
             self.node.destroy_subscription(self.scans.pop(name))
         for name in [name for name in scans if name not in self.scans]:
             topic, h = scans[name]
-            self.scans[name] = self.node.listen(topic, self._scan_receiver(name), h, raw=True)
+            receiver = self._scan_receiver(name)
+            self.scans[name] = self.node.listen(topic, receiver, h, decode=decode_stamp)
 
     def expect(self, now_ns: int, dt_ns: int) -> None:
         """Begin to wait for answers to a new state."""
@@ -99,15 +95,14 @@ class CommandGate:
         """Return whether the world may move."""
         return self.commands.complete and len(self.scanned) == len(self.scans)
 
-    def _receiver(self, shepherd: int) -> Callable[[bytes], None]:
-        def receive(raw: bytes) -> None:
-            if self.stamped:
-                ns, frame_id, velocity = decode_command(raw)
-                if not self._accepts(shepherd, ns, frame_id):
-                    return
-            else:
-                velocity = decode_twist(raw)
-            if not all(abs(part) <= LARGEST_FLOAT32 for part in velocity):
+    def _receiver(self, shepherd: int) -> Callable[[Vector], None]:
+        def receive(command: Vector) -> None:
+            ns = command.stamp_ns
+            if ns is not None and not self._accepts(shepherd, ns, command.frame_id):
+                return
+            x, y = command.xy.tolist()
+            velocity = x, y
+            if not all(abs(part) <= MAX_FLOAT32 for part in velocity):
                 self._refuse(
                     'not_finite',
                     f'shepherd_{shepherd}: command {velocity} m/s is not finite: counts as zero',
@@ -119,9 +114,9 @@ class CommandGate:
 
         return receive
 
-    def _scan_receiver(self, name: str) -> Callable[[bytes], None]:
-        def receive(raw: bytes) -> None:
-            if decode_stamp(raw, LaserScan) == self.now_ns:
+    def _scan_receiver(self, name: str) -> Callable[[int], None]:
+        def receive(ns: int) -> None:
+            if ns == self.now_ns:
                 self.scanned.add(name)
                 if self.complete:
                     self.on_answers()

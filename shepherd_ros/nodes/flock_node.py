@@ -13,19 +13,19 @@ from shepherd_ros.nodes.flock_commands import CommandGate
 from shepherd_ros.nodes.flock_pacing import Pacing
 from shepherd_ros.nodes.flock_parameters import declare_world
 from shepherd_ros.nodes.flock_publishers import WorldOutput
-from shepherd_ros.nodes.flock_requests import FlockRequests, LARGEST_SEED
+from shepherd_ros.nodes.flock_requests import FlockRequests
 from shepherd_ros.ros.node import OK, ShepherdNode, WARN
 from shepherd_ros.ros.parameters import declare
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.sim import compiled
+from shepherd_ros.sim.limits import MAX_SEED
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import step
-from shepherd_ros.wire.episode import Episode
+from shepherd_ros.wire.episode import Episode, MODES
 import torch
 from torch import Tensor
 
-MODES = ('lockstep', 'realtime')
 LOWEST_RATE = 0.001  # [1/s]
 WATCH_PERIOD = 0.05  # [s] wall time between two looks at who is silent
 PAUSED_RESEND = 1.0  # [s] wall time after which a paused world shows its state again
@@ -55,7 +55,7 @@ class FlockSim(ShepherdNode):
         self.world = declare_world(self)
         self.seed: int = self.option(
             'seed', 0, 'seed of the first episode; the next has seed + 1',
-            low=-LARGEST_SEED, high=LARGEST_SEED,
+            low=-MAX_SEED, high=MAX_SEED,
         )  # fmt: skip
         self.episodes: int = self.option('episodes', 0, 'episodes to run; 0: without end', low=0)
         self.mode: str = self.option('mode', 'lockstep', 'how the world advances', choices=MODES)
@@ -119,7 +119,7 @@ class FlockSim(ShepherdNode):
             goal_radius=float(self.state.goal_radius),
             frame_id=self.frame_id,
             mode=self.mode,
-            world=self.world,
+            world=self.world.to_dict(),
         )
         self.gate.begin(self.episode)
         self.output.episode(self.now_ns, self.episode, self.state)

@@ -16,12 +16,11 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import parameter_value_to_python
 from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes.flock_pacing import Pacing
-from shepherd_ros.ros.messages import LARGEST_FLOAT32
 from shepherd_ros.ros.node import ShepherdNode
+from shepherd_ros.sim.limits import MAX_FLOAT32, MAX_SEED
+from shepherd_ros.wire.decode import Vector
 from shepherd_ros.wire.episode import Episode
 from std_srvs.srv import SetBool
-
-LARGEST_SEED = 2**62  # episodes count up from there in 64 bits
 
 
 class FlockRequests:
@@ -65,8 +64,8 @@ class FlockRequests:
     def reset(self, given: Mapping[str, Any]) -> str:
         """Start a new episode: argument seed (integer), else the next seed."""
         (seed,) = _take(given, {'seed': int}, required=False)
-        if seed is not None and abs(seed) > LARGEST_SEED:
-            raise ConfigError(f'seed is {seed}: expected at most {LARGEST_SEED}, also negative')
+        if seed is not None and abs(seed) > MAX_SEED:
+            raise ConfigError(f'seed is {seed}: expected at most {MAX_SEED}, also negative')
         episode = self.begin_episode(seed)
         return f'episode {episode.number}, seed {episode.seed}'
 
@@ -82,26 +81,24 @@ class FlockRequests:
     def move_goal(self, given: Mapping[str, Any]) -> str:
         """Move the goal to x, y [m] in the world frame."""
         x, y = _take(given, {'x': float, 'y': float}, required=True)
-        if max(abs(x), abs(y)) > LARGEST_FLOAT32:
+        if max(abs(x), abs(y)) > MAX_FLOAT32:
             raise ConfigError(f'goal is {x:g}, {y:g} m: expected numbers that float32 can hold')
         self.set_goal(x, y)
         return f'goal moves to {x:g}, {y:g} m'
 
-    def on_goal_pose(self, message: Any) -> None:
+    def on_goal_pose(self, pose: Vector) -> None:
         """Move the goal to a published pose, if its frame is the node's."""
-        position, frame_id = message.pose.position, message.header.frame_id
+        frame_id, (x, y) = pose.frame_id, pose.xy.tolist()
         expected, log = self.node.frame_id, self.node.get_logger()
         if frame_id != expected:
             log.warning(
                 f'goal_pose is in frame {frame_id!r}, expected {expected!r}: ignored; set '
                 f'the fixed frame of your tool to {expected!r}'
             )
-        elif not all(abs(part) <= LARGEST_FLOAT32 for part in (position.x, position.y)):
-            log.warning(
-                f'goal_pose is {position.x}, {position.y}: expected finite numbers, ignored'
-            )
+        elif not all(abs(part) <= MAX_FLOAT32 for part in (x, y)):
+            log.warning(f'goal_pose is {x}, {y}: expected finite numbers, ignored')
         else:
-            self.set_goal(position.x, position.y)
+            self.set_goal(x, y)
 
     def pause(self, request: Any, response: Any) -> Any:
         """Pause on true, go on on false."""

@@ -16,6 +16,7 @@ from shepherd_ros.sim import compiled
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.presets import PRESETS
 from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_command, encode_twist
 from shepherd_ros.wire.episode import Episode
 import torch
@@ -53,9 +54,9 @@ class HeuristicNode(ShepherdNode):
         self.outputs: dict[int, Output] = {}
         self.listener = Listener(self, self.on_state, self.on_episode)
 
-    def on_episode(self, episode: Episode) -> None:
+    def on_episode(self, episode: Episode, world: WorldConfig) -> None:
         """Forget the episode before and make ready to command the team of this one."""
-        self.controller = self.kind(self.options, episode.world)
+        self.controller = self.kind(self.options, world)
         self.last = None
         wanted = self.shepherd_ids
         team = range(episode.n_shepherds) if ALL in wanted else wanted

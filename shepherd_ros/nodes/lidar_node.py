@@ -15,6 +15,7 @@ from shepherd_ros.sim import compiled
 from shepherd_ros.sim.lidar import CHANNELS, LidarConfig, scan
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_scan
 from shepherd_ros.wire.episode import Episode
 import torch
@@ -52,7 +53,7 @@ class LidarNode(ShepherdNode):
         self.drawn = 0.0
         self.listener = Listener(self, self.on_state, self.on_episode)
 
-    def on_episode(self, episode: Episode) -> None:
+    def on_episode(self, episode: Episode, world: WorldConfig) -> None:
         """Find out which of the shepherds are there."""
         self.present = [h for h in self.shepherd_ids if 0 <= h < episode.n_shepherds]
         self.chosen = torch.tensor(self.present, dtype=torch.int64)
@@ -73,9 +74,7 @@ class LidarNode(ShepherdNode):
         for row, h in zip(ranges, self.present, strict=True):
             frame = self.scan_frame.replace('{h}', str(h))
             for output, channel in zip(self.outputs[h], row, strict=True):
-                output.publish(
-                    encode_scan(ns, frame, channel, self.config.range_max, episode.world.dt)
-                )
+                output.publish(encode_scan(ns, frame, channel, self.config.range_max, episode.dt))
             if draw and self.markers.get_subscription_count():
                 origin, seen_by_h = state.shepherds[h], torch.from_numpy(row)
                 self.markers.publish(ray_markers(ns, self.frame_id, h, origin, seen_by_h))

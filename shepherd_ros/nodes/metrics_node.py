@@ -12,6 +12,7 @@ from shepherd_ros.ros.world_subscriber import Listener
 from shepherd_ros.sim.metrics import METRICS, PAPER_METRICS
 from shepherd_ros.sim.rollout import arrive, EnvConfig, Moment, start
 from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_number
 from shepherd_ros.wire.episode import Episode
 
@@ -23,22 +24,24 @@ class MetricsNode(ShepherdNode):
         """Create the node and its publishers."""
         super().__init__('metrics', **kwargs)
         self.outputs = {name: self.advertise(f'metrics/{name}') for name in METRICS}
+        self.world = WorldConfig()
         self.moment: Moment | None = None
         self.values: dict[str, float] = {}
         self.gaps = 0
         self.reported = False
         self.listener = Listener(self, self.on_state, self.on_episode)
 
-    def on_episode(self, episode: Episode) -> None:
+    def on_episode(self, episode: Episode, world: WorldConfig) -> None:
         """Start counting anew."""
+        self.world = world
         self.moment, self.gaps, self.reported = None, 0, False
 
     def on_state(self, ns: int, state: WorldState, episode: Episode) -> None:
         """Count a step and publish what the metrics are now."""
-        step, steps = int(state.step), episode.world.episode_steps
+        step, steps = int(state.step), episode.episode_steps
         last = -1 if self.moment is None else int(self.moment.state.step)
         if self.moment is None or step < last:
-            self.moment = start(state, EnvConfig(world=episode.world))
+            self.moment = start(state, EnvConfig(world=self.world))
             self.gaps = int(step > 0)
         elif step > last:
             self.moment = arrive(self.moment, state)

@@ -13,11 +13,13 @@ from shepherd_ros.controllers.policy import action_draws, LearnedConfig, require
 from shepherd_ros.policy import inference
 from shepherd_ros.policy.checkpoint import load_policy
 from shepherd_ros.policy.inference import Memory
+from shepherd_ros.ros.episode_subscriber import listen_to_episodes
 from shepherd_ros.ros.intra_process import Output
 from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.ros.parameters import declare_config
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.ros.scan_subscriber import ScanListener
+from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_command, encode_twist
 from shepherd_ros.wire.episode import Episode
 import torch
@@ -53,6 +55,7 @@ class PolicyNode(ShepherdNode):
         )
         self.policy = load_policy(self.options.checkpoint)
         self.episode: Episode | None = None
+        self.max_speed = 0.0  # [m/s]
         self.present: list[int] = []
         self.refused = ''
         self.memory: Memory = {}
@@ -65,7 +68,7 @@ class PolicyNode(ShepherdNode):
         self.outputs: dict[int, Output] = {}
         self.scans = ScanListener(self, self.policy.config.lidar, self.on_scans)
         self._warm_up()
-        self.listen('episode', self._on_episode)
+        listen_to_episodes(self, self._begin)
         self.timer(0.1, self._watch)
 
     def _warm_up(self) -> None:
@@ -78,18 +81,9 @@ class PolicyNode(ShepherdNode):
             self.policy, lambda: ranges, there, inference.begin(self.policy, (), team), 1.0
         )
 
-    def _on_episode(self, message: Any) -> None:
-        try:
-            episode = Episode.from_json(message.data)
-        except ConfigError as error:
-            self.get_logger().error(str(error))
-            return
-        if episode != self.episode:
-            self.episode = episode
-            self._begin(episode)
-
-    def _begin(self, episode: Episode) -> None:
+    def _begin(self, episode: Episode, world: WorldConfig) -> None:
         """Start an episode with empty stacks, or refuse it."""
+        self.episode, self.max_speed = episode, world.shepherd_speed
         self.last, self.refused = None, ''
         self.present = [h for h in self.shepherd_ids if h < episode.n_shepherds]
         strangers = sorted(set(self.shepherd_ids) - set(self.present))
@@ -99,7 +93,7 @@ class PolicyNode(ShepherdNode):
                 'episode has no others; they get no commands'
             )
         try:
-            require_same_world(self.policy, episode.world)
+            require_same_world(self.policy, world)
         except ConfigError as error:
             self.refused, self.present = str(error), []
             self.get_logger().error(f'this episode is not driven: {error}')
@@ -144,7 +138,7 @@ class PolicyNode(ShepherdNode):
             lambda: newest,
             torch.ones_like(there),
             self.memory,
-            episode.world.shepherd_speed,
+            self.max_speed,
             draws if self.options.sample else None,
         )
         return torch.where(there[:, None], command, 0.0)

@@ -14,13 +14,13 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
 from shepherd_ros.nodes.recorder_options import RecorderOptions
 from shepherd_ros.nodes.recorder_subscriptions import Intake
-from shepherd_ros.recordings.grouping import EpisodeInfo
 from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.writer import BagWriter, LOST_KEY
 from shepherd_ros.wire.contract import known
 from shepherd_ros.wire.decode import decode_clock, decode_string
+from shepherd_ros.wire.episode import Episode
 from std_srvs.srv import Trigger
 
 TAKE_PERIOD = 0.02  # [s] between two looks for messages
@@ -108,7 +108,7 @@ class Recorder(ShepherdNode):
     def _next_episode(self, namespace: str, raw: bytes) -> None:
         """Expect the topics of an episode; begin its bag if each has its own."""
         with suppress(ValueError):
-            self.intake.expect(namespace, EpisodeInfo.from_json(decode_string(raw)).n_shepherds)
+            self.intake.expect(namespace, Episode.from_json(decode_string(raw)).n_shepherds)
         again = self.latched.get(f'{namespace}/episode') == raw  # told to those who were silent
         if self.recording and self.options.per_episode and not (again and self.begun):
             if self.begun:

@@ -9,19 +9,20 @@ from pathlib import Path
 
 import numpy as np
 from shepherd_ros.controllers.base import Controller, Memory
-from shepherd_ros.recordings.episodes import Episode, Frame
+from shepherd_ros.recordings.episodes import Frame, RecordedEpisode
 from shepherd_ros.recordings.record import drive, EpisodeBag
-from shepherd_ros.recordings.replay import description_of, metrics_over_time, states_of
+from shepherd_ros.recordings.replay import metrics_over_time, states_of
 from shepherd_ros.recordings.replay_check import core_answers
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.rollout import arrive, EnvConfig, Moment, start
 from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.world import WorldConfig
 
 
 def record_future(
-    episode: Episode,
+    episode: RecordedEpisode,
     at: int,
     controller: Controller,
     noise_std: float,
@@ -34,12 +35,12 @@ def record_future(
     The goal moves as recorded. Returns whether the controller goes on with what it remembers of
     the past, as memory_at() says. The folder must not exist; raises BagError.
     """
-    described = description_of(episode)
-    config = EnvConfig(noise_std=noise_std, world=described.world, lidar=lidar_of(episode))
+    world = WorldConfig.from_dict(episode.world)
+    config = EnvConfig(noise_std=noise_std, world=world, lidar=lidar_of(episode))
     states = states_of(episode)
     memory, same = memory_at(episode, states, at, controller, noise_std)
     moment = start(states.world(slice(0, 1)), config)
-    bag = EpisodeBag(folder, described, 'none')
+    bag = EpisodeBag(folder, replace(episode, world=world.to_dict()), 'none')
     with closing(bag.writer):
         for t, frame in enumerate(episode.frames[:at]):
             values = moment.metrics()
@@ -55,7 +56,7 @@ def record_future(
 
 
 def memory_at(
-    episode: Episode, states: WorldState, at: int, controller: Controller, noise_std: float
+    episode: RecordedEpisode, states: WorldState, at: int, controller: Controller, noise_std: float
 ) -> tuple[Memory, bool]:
     """
     Return the memory with which a controller comes to frame `at`, and whether it is of the past.
@@ -73,7 +74,7 @@ def memory_at(
     return controller.begin(perceive(states.world(slice(at, at + 1)), noise_std)), False
 
 
-def lidar_of(episode: Episode) -> LidarConfig:
+def lidar_of(episode: RecordedEpisode) -> LidarConfig:
     """Return the lidar of the scans, the default one if there are none."""
     rays = {s.shape[-1] for frame in episode.frames for s in frame.scans if s is not None}
     return replace(LidarConfig(), n_rays=rays.pop()) if len(rays) == 1 else LidarConfig()
@@ -88,7 +89,7 @@ def ranges_of(frame: Frame, moment: Moment) -> list[np.ndarray]:
     return [c if s is None else s for s, c in zip(frame.scans, cast, strict=True)]
 
 
-def metrics_table(recorded: Episode, future: Episode, name: str) -> str:
+def metrics_table(recorded: RecordedEpisode, future: RecordedEpisode, name: str) -> str:
     """Return the metrics of both after the last step that both have, as a Markdown table."""
     both = {frame.step for frame in recorded.frames} & {frame.step for frame in future.frames}
     last = max(both)

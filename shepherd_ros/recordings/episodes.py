@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from shepherd_ros.recordings.grouping import Group, Groups, namespaces, State
@@ -14,6 +13,7 @@ from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.reader import Bag
 from shepherd_ros.wire.contract import CHANNELS
 from shepherd_ros.wire.decode import Floats, Ranges
+from shepherd_ros.wire.episode import Episode
 
 
 @dataclass(frozen=True)
@@ -32,17 +32,10 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Episode:
+class RecordedEpisode(Episode):
     """An episode with all states that were recorded in full."""
 
-    number: int
-    seed: int
-    n_sheep: int
-    n_shepherds: int
-    dt: float  # s
-    episode_steps: int
-    config: dict[str, Any]  # content of the topic episode
-    frames: list[Frame]
+    frames: list[Frame] = field(default_factory=list)
 
     @cached_property
     def whole(self) -> bool:
@@ -64,7 +57,9 @@ def one_namespace(bag: Bag, namespace: str | None) -> str:
     return namespace
 
 
-def iter_episodes(bag: Bag, namespace: str | None = None, labels: str = '') -> Iterator[Episode]:
+def iter_episodes(
+    bag: Bag, namespace: str | None = None, labels: str = ''
+) -> Iterator[RecordedEpisode]:
     """
     Yield the episodes of a bag in the order of the recording; raises BagError.
 
@@ -75,7 +70,7 @@ def iter_episodes(bag: Bag, namespace: str | None = None, labels: str = '') -> I
         yield episode_of(bag, group)
 
 
-def episode_of(bag: Bag, group: Group) -> Episode:
+def episode_of(bag: Bag, group: Group) -> RecordedEpisode:
     """Return a recorded episode as arrays; raises BagError where its counts are wrong."""
     info = group.info
     goals = sorted(group.goals, key=lambda goal: goal[0])
@@ -107,16 +102,8 @@ def episode_of(bag: Bag, group: Group) -> Episode:
                 commands=[state.commands.get(h) for h in range(info.n_shepherds)],
             )
         )
-    return Episode(
-        number=info.number,
-        seed=info.seed,
-        n_sheep=info.n_sheep,
-        n_shepherds=info.n_shepherds,
-        dt=info.dt,
-        episode_steps=info.episode_steps,
-        config=info.config,
-        frames=frames,
-    )
+    about = {f.name: getattr(info, f.name) for f in fields(info)}
+    return RecordedEpisode(**about, frames=frames)
 
 
 def _scan(bag: Bag, group: Group, step: int, state: State, shepherd: int) -> Ranges | None:

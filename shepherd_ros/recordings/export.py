@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-import json
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
 from pyarrow import csv, parquet
 from shepherd_ros.config import unknown_name
-from shepherd_ros.recordings.episodes import Episode, Frame, iter_episodes
+from shepherd_ros.recordings.episodes import Frame, iter_episodes, RecordedEpisode
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.reader import Bag
 from shepherd_ros.wire.contract import CHANNELS
@@ -86,7 +85,7 @@ def export_bag(
     return {name: Exported(path, rows[name]) for name, path in paths.items()}
 
 
-def tables(index: int, episode: Episode) -> dict[str, pa.Table]:
+def tables(index: int, episode: RecordedEpisode) -> dict[str, pa.Table]:
     """Return the rows of one episode in each table."""
     frames = episode.frames
     members = [('sheep', k) for k in range(episode.n_sheep)]
@@ -103,7 +102,7 @@ def tables(index: int, episode: Episode) -> dict[str, pa.Table]:
             'episode': [index],
             'states': [len(frames)],
             'whole': [episode.whole],
-            'config': [json.dumps(episode.config, sort_keys=True)],
+            'config': [episode.to_json()],
             **{
                 name: [getattr(episode, name)]
                 for name in SCHEMAS['episodes'].names

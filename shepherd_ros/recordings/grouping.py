@@ -11,13 +11,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
-import json
 from typing import Any
 
+from shepherd_ros.config import ConfigError
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.reader import Bag, BagMessage
 from shepherd_ros.wire.contract import CHANNELS, Known, known
 from shepherd_ros.wire.decode import CdrError, DECODERS, Floats, Poses, Ranges, Vector
+from shepherd_ros.wire.episode import Episode
 
 SHEEP, SHEPHERDS = 'flock/poses', 'shepherds/poses'
 SCANS = tuple(f'shepherd_{{h}}/scan/{channel}' for channel in CHANNELS)
@@ -25,61 +26,6 @@ COMMANDS, GOAL, EPISODE = 'shepherd_{h}/cmd_vel', 'goal', 'episode'
 STATES = (SHEEP, SHEPHERDS)
 ALL = (*STATES, *SCANS, COMMANDS, GOAL)
 SETTLED = 2  # an episode ends for good when the next one has a state with this step
-LARGEST_SHEEP, LARGEST_SHEPHERDS, LARGEST_STEPS = 10_000, 100, 10_000_000
-
-
-@dataclass(frozen=True)
-class EpisodeInfo:
-    """What the topic episode says, as far as a bag needs it."""
-
-    number: int
-    seed: int
-    start_ns: int  # stamp of the first state
-    n_sheep: int
-    n_shepherds: int
-    dt: float  # s
-    episode_steps: int
-    config: dict[str, Any]  # all of it
-
-    @property
-    def dt_ns(self) -> int:
-        """Return the time between two states."""
-        return round(self.dt * 1e9)
-
-    def has(self, stamp_ns: int) -> bool:
-        """Return whether a stamp can belong to a state of this episode."""
-        return 0 <= (stamp_ns - self.start_ns) // self.dt_ns <= self.episode_steps
-
-    @classmethod
-    def from_json(cls, text: str) -> EpisodeInfo:
-        """Return what a text says; raises ValueError."""
-        try:
-            data = json.loads(text)
-            start, world = data['start'], data['world']
-            info = cls(
-                number=int(data['number']),
-                seed=int(data['seed']),
-                start_ns=int(start['sec']) * 10**9 + int(start['nanosec']),
-                n_sheep=int(data['n_sheep']),
-                n_shepherds=int(data['n_shepherds']),
-                dt=float(world['dt']),
-                episode_steps=int(world['episode_steps']),
-                config=data,
-            )
-        except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-            raise ValueError(f'{text[:60]!r} describes no episode ({error!r:.80})') from error
-        if not all(-(2**63) <= value < 2**63 for value in (info.number, info.seed)):
-            raise ValueError(f'number {info.number!r:.30} or seed {info.seed!r:.30} is too large')
-        whole = (
-            (info.n_sheep, LARGEST_SHEEP),
-            (info.n_shepherds, LARGEST_SHEPHERDS),
-            (info.episode_steps, LARGEST_STEPS),
-        )
-        if not all(1 <= value <= most for value, most in whole):
-            raise ValueError(f'sheep, shepherds and steps with their limits are {whole}')
-        if not (0.001 <= info.dt <= 10 and 0 <= info.start_ns < 2**62):
-            raise ValueError(f'dt is {info.dt} s and start {info.start_ns} ns')
-        return info
 
 
 @dataclass
@@ -97,7 +43,7 @@ class State:
 class Group:
     """An episode as it was recorded."""
 
-    info: EpisodeInfo
+    info: Episode
     states: dict[int, State] = field(default_factory=dict)  # by step
     goals: list[tuple[int, Floats]] = field(default_factory=list)  # stamp [ns], position (2,) m
     disorder: list[tuple[str, int]] = field(default_factory=list)  # topic, stamp that goes back
@@ -128,14 +74,14 @@ def namespaces(bag: Bag) -> list[str]:
     return [ours.namespace for ours in found if ours and ours.topic.name == EPISODE]
 
 
-def announced(bag: Bag, namespace: str) -> list[tuple[int, EpisodeInfo]]:
+def announced(bag: Bag, namespace: str) -> list[tuple[int, Episode]]:
     """Return log time [ns] and content of all messages on the topic episode; raises BagError."""
     infos = []
     for message in bag.messages([f'{namespace}/{EPISODE}']):
         text = decoded(bag, message, ['std_msgs/msg/String'])
         try:
-            infos.append((message.log_ns, EpisodeInfo.from_json(text)))
-        except ValueError as error:
+            infos.append((message.log_ns, Episode.from_json(text)))
+        except ConfigError as error:
             raise BagError(bag.path, f'{message.topic}: {error}') from error
     return infos
 
@@ -192,7 +138,7 @@ class Groups:
 class _Sorter:
     """Keeps the episodes that are not settled."""
 
-    def __init__(self, infos: list[tuple[int, EpisodeInfo]]) -> None:
+    def __init__(self, infos: list[tuple[int, Episode]]) -> None:
         self.coming = list(reversed(infos))
         self.open: list[Group] = []  # the present one last
         self.early = 0  # of the open ones, how many at the end are not announced yet

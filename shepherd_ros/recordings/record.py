@@ -88,7 +88,7 @@ class EpisodeBag:
             self.put(name, encode_poses(ns, frame, position.numpy(), heading.numpy()))
         for h, channels in enumerate(ranges[:team]):
             for name, values in zip(CHANNELS, () if channels is None else channels, strict=False):
-                content = encode_scan(ns, f'shepherd_{h}', values, range_max, episode.world.dt)
+                content = encode_scan(ns, f'shepherd_{h}', values, range_max, episode.dt)
                 self.put('shepherd_{h}/scan/' + name, content, h)
         for h, command in enumerate(commands[:team]):
             if command is not None:
@@ -204,5 +204,5 @@ def describe(world: WorldConfig, first: WorldState, seed: int) -> Episode:
         goal_radius=float(first.goal_radius),
         frame_id=FRAME,
         mode='lockstep',
-        world=world,
+        world=world.to_dict(),
     )

@@ -3,35 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-import json
 
 import numpy as np
-from shepherd_ros.config import ConfigError
-from shepherd_ros.recordings.episodes import Episode, Frame
+from shepherd_ros.recordings.episodes import Frame, RecordedEpisode
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.rollout import arrive, EnvConfig, start
 from shepherd_ros.sim.state import stack, WorldState
 from shepherd_ros.view.track import EpisodeTrack
-from shepherd_ros.wire.episode import Episode as Description
 import torch
 
 
-def description_of(episode: Episode) -> Description:
-    """Return what flock_sim said of the episode, or raise ConfigError."""
-    return Description.from_json(json.dumps(episode.config))
-
-
-def states_of(episode: Episode, frames: Sequence[Frame] | None = None) -> WorldState:
+def states_of(episode: RecordedEpisode, frames: Sequence[Frame] | None = None) -> WorldState:
     """
     Return the recorded states, or some of them, as a batch (T), bit by bit as they were.
 
-    A goal that was not recorded is at 0, 0. Raises ConfigError if the radius of the goal is not
-    known.
+    A goal that was not recorded is at 0, 0.
     """
     states = []
-    radius = episode.config.get('goal_radius')
-    if not isinstance(radius, int | float):
-        raise ConfigError(f'goal_radius of an episode is {radius!r}: expected metres')
     for frame in episode.frames if frames is None else frames:
         goal = np.zeros(2) if frame.goal is None else frame.goal
         states.append(
@@ -44,7 +32,7 @@ def states_of(episode: Episode, frames: Sequence[Frame] | None = None) -> WorldS
                 shepherds=_tensor(frame.shepherds),
                 shepherd_mask=torch.ones(episode.n_shepherds, dtype=torch.bool),
                 goal=_tensor(goal),
-                goal_radius=torch.tensor(float(radius)),
+                goal_radius=torch.tensor(episode.goal_radius),
             )
         )
     return stack(states)
@@ -92,7 +80,7 @@ def metrics_over_time(states: WorldState, episode_steps: int) -> dict[str, np.nd
     return {name: np.array([float(row[name]) for row in rows]) for name in METRICS}
 
 
-def ranges_of(episode: Episode) -> np.ndarray | None:
+def ranges_of(episode: RecordedEpisode) -> np.ndarray | None:
     """Return the scans (T, H, 3, R) m, inf where one is missing; None if there are none at all."""
     shapes = {scan.shape for frame in episode.frames for scan in frame.scans if scan is not None}
     if len(shapes) != 1:
@@ -103,7 +91,7 @@ def ranges_of(episode: Episode) -> np.ndarray | None:
     )
 
 
-def track_of(episode: Episode, title: str, parting: int | None = None) -> EpisodeTrack:
+def track_of(episode: RecordedEpisode, title: str, parting: int | None = None) -> EpisodeTrack:
     """Return the episode for pictures and animations, with the lidar of shepherd 0 if recorded."""
     states, ranges = states_of(episode), ranges_of(episode)
     return EpisodeTrack(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from shepherd_ros.controllers.base import Controller, Memory
-from shepherd_ros.recordings.episodes import Episode, Frame
+from shepherd_ros.recordings.episodes import Frame, RecordedEpisode
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.wire.decode import Floats
@@ -16,9 +16,9 @@ from torch import Tensor
 Answers = Mapping[int, Floats]  # by shepherd (2,) m/s
 
 
-def asked_frames(episode: Episode) -> list[Frame]:
+def asked_frames(episode: RecordedEpisode) -> list[Frame]:
     """Return the states to ask about; in real time only those that were answered then."""
-    if episode.config.get('mode') != 'realtime':
+    if episode.mode != 'realtime':
         return episode.frames
     return [f for f in episode.frames if any(c is not None for c in f.commands)]
 
@@ -61,13 +61,13 @@ class Comparison:
         """Return whether there is something to compare and all of it is within the tolerance."""
         return self.compared > 0 and not self.beyond and not self.missing
 
-    def add_episode(self, episode: Episode, frames: Sequence[Frame]) -> None:
+    def add_episode(self, episode: RecordedEpisode, frames: Sequence[Frame]) -> None:
         """Count an episode, of which these states are asked about."""
         self.episodes += 1
         last = frames[-1].step if frames else episode.episode_steps
         self.unasked += last + 1 - len(frames)
 
-    def add(self, episode: Episode, frame: Frame, answers: Answers) -> None:
+    def add(self, episode: RecordedEpisode, frame: Frame, answers: Answers) -> None:
         """Compare what was recorded for a state with what is answered now."""
         final = frame is episode.frames[-1]  # a recording may end before the last answers
         for h, recorded in enumerate(frame.commands):

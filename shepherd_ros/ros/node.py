@@ -17,6 +17,7 @@ from rclpy.timer import Timer
 from shepherd_ros import __version__
 from shepherd_ros.ros.intra_process import Bus, LocalPublisher, Output
 from shepherd_ros.ros.parameters import declare
+from shepherd_ros.wire.decode import CdrError, DECODERS
 from shepherd_ros.wire.topics import contract, row_of
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -76,18 +77,35 @@ class ShepherdNode(Node):
         callback: Callable[[Any], None],
         shepherd: int | None = None,
         *,
-        raw: bool = False,
         kind: str = '',
+        decode: Callable[[bytes], Any] | None = None,
     ) -> Subscription:
-        """Return a subscription to a topic of the contract."""
-        row = row_of(topic)
+        """
+        Return a subscription to a topic of the contract.
+
+        callback(content) receives what decode(message) returns, as in wire.decode by default.
+        """
+        kind = kind or row_of(topic).type
+        decode = decode or DECODERS[kind]
         name = topic.format(h=shepherd)
         profile = quality(topic, subscribe=True)
         profile.depth = max(profile.depth, self.backlog)
+
+        def receive(raw: bytes) -> None:
+            try:
+                content = decode(raw)
+            except CdrError as error:
+                self.get_logger().warning(
+                    f'{name} has a message that cannot be read ({error}): ignored',
+                    throttle_duration_sec=5.0,
+                )
+            else:
+                callback(content)
+
         subscription = self.create_subscription(
-            message_type(kind or row.type), name, callback, profile, raw=raw
+            message_type(kind), name, receive, profile, raw=True
         )
-        if raw and self.bus is not None:
+        if self.bus is not None:
             self.bus.hear(subscription)
         return subscription
 

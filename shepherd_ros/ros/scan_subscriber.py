@@ -43,7 +43,7 @@ class ScanListener:
         for h in [h for h in shepherds if h not in self._inputs]:
             self._inputs[h] = [
                 self.node.listen(
-                    'shepherd_{h}/scan/' + channel, self._receiver(h, channel), h, raw=True
+                    'shepherd_{h}/scan/' + channel, self._receiver(h, channel), h, decode=bytes
                 )
                 for channel in CHANNELS
             ]

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
-from typing import Any
+from functools import lru_cache, partial
 
 import numpy as np
-from shepherd_ros.config import ConfigError
-from shepherd_ros.ros.messages import decode_poses
+from shepherd_ros.ros.episode_subscriber import listen_to_episodes
 from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.world import WorldConfig
+from shepherd_ros.wire.decode import decode_poses, Vector
 from shepherd_ros.wire.episode import Episode
 import torch
 from torch import Tensor
@@ -18,26 +18,27 @@ from torch import Tensor
 
 @lru_cache(maxsize=4)  # nodes in one process hear the same bytes
 def _hear(raw: bytes) -> tuple[int, str, Tensor, Tensor, bool]:
-    """Return what decode_poses() does, and whether all of it is finite."""
-    ns, frame_id, position, heading = decode_poses(raw)
-    finite = np.isfinite(position.numpy()).all() and np.isfinite(heading.numpy()).all()
-    return ns, frame_id, position, heading, bool(finite)
+    """Return stamp [ns], frame, positions (K, 2) m, headings (K, 2), whether they are finite."""
+    ns, frame_id, xy, way = decode_poses(raw)
+    position, heading = xy.astype(np.float32), way.astype(np.float32)
+    finite = bool(np.isfinite(position).all() and np.isfinite(heading).all())
+    return ns, frame_id, torch.from_numpy(position), torch.from_numpy(heading), finite
 
 
 class Listener:
     """
     Calls on_state(stamp_ns, true state, episode) for every state of the world that is heard whole.
 
-    on_episode(episode) comes before its first state. A state may come again with the same stamp:
-    flock_sim repeats one that nobody answers. A state older than the last one means that the
-    simulator or a bag started anew, and is passed on.
+    on_episode(episode, its world) comes before its first state. A state may come again with the
+    same stamp: flock_sim repeats one that nobody answers. A state older than the last one means
+    that the simulator or a bag started anew, and is passed on.
     """
 
     def __init__(
         self,
         node: ShepherdNode,
         on_state: Callable[[int, WorldState, Episode], None],
-        on_episode: Callable[[Episode], None] = lambda episode: None,
+        on_episode: Callable[[Episode, WorldConfig], None] = lambda episode, world: None,
     ) -> None:
         """Subscribe; latched topics first, so that they are served before states."""
         self.node = node
@@ -47,36 +48,29 @@ class Listener:
         self.states = 0
         self._halves: dict[str, tuple[int, Tensor, Tensor]] = {}
         self._same: dict[str, Tensor] = {}  # what all states of the episode share
-        node.listen('episode', self._on_episode)
+        listen_to_episodes(node, self._on_episode)
         node.listen('goal', self._on_goal)
-        node.listen('flock/poses', lambda raw: self._on_poses('flock', raw), raw=True)
-        node.listen('shepherds/poses', lambda raw: self._on_poses('shepherds', raw), raw=True)
+        for side in ('flock', 'shepherds'):
+            node.listen(f'{side}/poses', partial(self._on_poses, side), decode=_hear)
 
-    def _on_episode(self, message: Any) -> None:
-        try:
-            episode = Episode.from_json(message.data)
-        except ConfigError as error:
-            self.node.get_logger().error(str(error))
-            return
-        if episode != self.episode:  # flock_sim repeats the present one to those who are silent
-            self.episode = episode
-            self._same = {
-                'seed': torch.tensor(episode.seed),
-                'sheep_mask': torch.ones(episode.n_sheep, dtype=torch.bool),
-                'shepherd_mask': torch.ones(episode.n_shepherds, dtype=torch.bool),
-                'goal_radius': torch.tensor(episode.goal_radius, dtype=torch.float32),
-            }
-            self.on_episode(episode)
+    def _on_episode(self, episode: Episode, world: WorldConfig) -> None:
+        self.episode = episode
+        self._same = {
+            'seed': torch.tensor(episode.seed),
+            'sheep_mask': torch.ones(episode.n_sheep, dtype=torch.bool),
+            'shepherd_mask': torch.ones(episode.n_shepherds, dtype=torch.bool),
+            'goal_radius': torch.tensor(episode.goal_radius, dtype=torch.float32),
+        }
+        self.on_episode(episode, world)
         self._pair()
 
-    def _on_goal(self, message: Any) -> None:
-        if self._known_frame('goal', message.header.frame_id):
-            position = message.pose.position
-            self.goal = torch.tensor([position.x, position.y], dtype=torch.float32)
+    def _on_goal(self, pose: Vector) -> None:
+        if self._known_frame('goal', pose.frame_id):
+            self.goal = torch.tensor(pose.xy, dtype=torch.float32)
             self._pair()
 
-    def _on_poses(self, side: str, raw: bytes) -> None:
-        ns, frame_id, position, heading, finite = _hear(raw)
+    def _on_poses(self, side: str, poses: tuple[int, str, Tensor, Tensor, bool]) -> None:
+        ns, frame_id, position, heading, finite = poses
         if not self._known_frame(f'{side}/poses', frame_id):
             return
         if not finite:

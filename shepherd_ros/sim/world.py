@@ -10,9 +10,7 @@ from shepherd_ros.config import Config, ConfigError, mapping, option, part
 from shepherd_ros.sim.flocking import FLOCK_MODELS, model_of
 from shepherd_ros.sim.flocking.base import FlockConfig
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
-
-MAX_SHEEP = 10_000
-MAX_SHEPHERDS = 100
+from shepherd_ros.sim.limits import MAX_DT, MAX_SHEEP, MAX_SHEPHERDS, MAX_STEPS, MIN_DT
 
 
 @dataclass(frozen=True)
@@ -57,9 +55,9 @@ class WorldConfig(Config):
     n_sheep: int = option(100, 'sheep in the flock, N', low=1, high=MAX_SHEEP)
     n_shepherds: int = option(3, 'shepherds, M', low=1, high=MAX_SHEPHERDS)
     dt: float = option(
-        0.5, 'seconds per step (choice: the paper gives none)', low=0.001, high=10.0
+        0.5, 'seconds per step (choice: the paper gives none)', low=MIN_DT, high=MAX_DT
     )
-    episode_steps: int = option(1000, 'steps per episode, T', low=1, high=10_000_000)
+    episode_steps: int = option(1000, 'steps per episode, T', low=1, high=MAX_STEPS)
     goal_radius: float = option(4.0, 'radius of the goal region, R_g [m]', low=0.01, high=1000.0)
     shepherd_speed: float = option(1.0, 'top speed of a shepherd, v_max [m/s]', low=0.0)
     spawn: SpawnConfig = part(SpawnConfig)

@@ -60,20 +60,20 @@ class _Cursor:
             raise CdrError(f'{raw[:HEADER].hex()} in front: expected plain CDR, 00010000')
         self.raw, self.at, self.order = raw, 0, '<' if raw[1] else '>'
 
-    def take(self, code: str, count: int = 1) -> tuple[Any, ...]:
-        """Return count numbers of one kind, aligned to their size."""
-        size = struct.calcsize(code)
+    def take(self, form: str, size: int) -> tuple[Any, ...]:
+        """Return the numbers of a struct format, aligned to the size of the first [bytes]."""
         self.at += -self.at % size
+        form = self.order + form
         try:
-            values = struct.unpack_from(f'{self.order}{count}{code}', self.raw, HEADER + self.at)
+            values = struct.unpack_from(form, self.raw, HEADER + self.at)
         except struct.error as error:
             raise CdrError(f'it ends after {len(self.raw)} bytes') from error
-        self.at += size * count
+        self.at += struct.calcsize(form)
         return values
 
     def text(self) -> str:
         """Return a string."""
-        (length,) = self.take('I')
+        (length,) = self.take('I', 4)
         start = HEADER + self.at
         data = self.raw[start : start + length]
         if len(data) != length:
@@ -86,8 +86,8 @@ class _Cursor:
 
     def time(self) -> int:
         """Return a builtin_interfaces/Time in ns."""
-        (sec,), (nanosec,) = self.take('i'), self.take('I')
-        return sec * 10**9 + nanosec
+        sec, nanosec = self.take('iI', 4)
+        return int(sec * 10**9 + nanosec)
 
     def header(self) -> tuple[int, str]:
         """Return stamp [ns] and frame of a std_msgs/Header."""
@@ -115,9 +115,9 @@ def decode_poses(raw: bytes) -> Poses:
     """Return a geometry_msgs/PoseArray."""
     cursor = _Cursor(raw)
     stamp_ns, frame_id = cursor.header()
-    (count,) = cursor.take('I')
+    (count,) = cursor.take('I', 4)
     poses = cursor.array('f8', 7 * count).reshape(count, 7)
-    x, y, z, w = poses[:, 3:].T
+    x, y, z, w = np.ascontiguousarray(poses[:, 3:].T)
     with np.errstate(all='ignore'):  # a quaternion may be anything
         heading = np.stack([1 - 2 * (y * y + z * z), 2 * (w * z + x * y)], axis=-1)
     return Poses(stamp_ns, frame_id, poses[:, :2].astype(np.float64), heading.astype(np.float64))
@@ -127,14 +127,13 @@ def decode_scan(raw: bytes) -> Scan:
     """Return a sensor_msgs/LaserScan."""
     cursor = _Cursor(raw)
     stamp_ns, frame_id = cursor.header()
-    start, _, increment, _, _, low, high = cursor.take('f', 7)
-    (count,) = cursor.take('I')
+    start, _, increment, _, _, low, high, count = cursor.take('7fI', 4)
     ranges = cursor.array('f4', count).astype(np.float32, copy=False)
     return Scan(stamp_ns, frame_id, start, increment, low, high, ranges)
 
 
 def _plane(cursor: _Cursor) -> Floats:
-    return np.array(cursor.take('d', 2), np.float64)
+    return np.array(cursor.take('2d', 8), np.float64)
 
 
 def decode_twist_stamped(raw: bytes) -> Vector:
@@ -166,7 +165,7 @@ def decode_clock(raw: bytes) -> int:
 
 def decode_float64(raw: bytes) -> float:
     """Return the number of a std_msgs/Float64."""
-    return float(_Cursor(raw).take('d')[0])
+    return float(_Cursor(raw).take('d', 8)[0])
 
 
 DECODERS: dict[str, Callable[[bytes], Any]] = {

@@ -33,7 +33,7 @@ from shepherd_ros.datasets.running_stats import Spread
 from shepherd_ros.datasets.steps import Steps, steps_of
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
-from shepherd_ros.recordings.episodes import Episode, iter_episodes
+from shepherd_ros.recordings.episodes import iter_episodes, RecordedEpisode
 from shepherd_ros.recordings.record import record_episodes
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.reader import open_bag
@@ -194,7 +194,7 @@ def test_few_episodes_are_in_memory_at_once(
     for k in range(10):
         for path in bags.iterdir():
             (many / f'{path.name}_{k}').symlink_to(path)
-    alive: dict[type, list[int]] = {Episode: [], Steps: []}
+    alive: dict[type, list[int]] = {RecordedEpisode: [], Steps: []}
     for kind, most in alive.items():
         # a frozen data class has no hash of its arrays
         monkeypatch.setattr(kind, '__hash__', object.__hash__)
@@ -202,7 +202,7 @@ def test_few_episodes_are_in_memory_at_once(
     report = build_dataset([many], tmp_path / 'built', OBSERVATION)
     assert report.episodes == 10 * EPISODES_MADE
     assert {kind: (len(most), max(most) <= 2) for kind, most in alive.items()} == {
-        Episode: (report.episodes, True),
+        RecordedEpisode: (report.episodes, True),
         Steps: (report.episodes, True),
     }
     alive[Steps].clear()

@@ -23,7 +23,7 @@ from shepherd_ros.learning.dagger import DaggerConfig, Lesson
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
-from shepherd_ros.recordings.episodes import Episode, iter_episodes
+from shepherd_ros.recordings.episodes import iter_episodes, RecordedEpisode
 from shepherd_ros.recordings.record import record_episodes
 from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.sim.env import ShepherdEnv
@@ -53,11 +53,11 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def episode_of(bags: Path) -> Episode:
+def episode_of(bags: Path) -> RecordedEpisode:
     return next(iter_episodes(open_bag(bags / 'episode_000005')))
 
 
-def examples_in(episode: Episode, report: Report) -> EpisodeExamples:
+def examples_in(episode: RecordedEpisode, report: Report) -> EpisodeExamples:
     steps = steps_of(episode, 'bag', 0, report.refuse)
     report.see(steps)
     require_fit(steps, CONFIG)

@@ -183,7 +183,7 @@ def test_a_world_goes_on_after_its_nodes_were_told_of_another_episode(graph: Gra
     sim = graph.start('flock_sim', **(SMALL | {'episode_steps': 100_000}), **QUICK)
     graph.start('strombom')
     graph.until(lambda: len(track.stamps) > 100, 'everybody answers')
-    other = Episode(9, 9, 10**15, 3, 1, 4.0, 'map', 'lockstep', WorldConfig())
+    other = Episode(9, 9, 10**15, 3, 1, 4.0, 'map', 'lockstep', WorldConfig().to_dict())
     foreign = graph.publisher('episode', String, LATCHED)
     foreign.publish(String(data=other.to_json()))
     # the answer of shepherd_0 may have come out just before

@@ -71,7 +71,7 @@ def test_a_reset_with_a_seed_starts_that_episode_and_the_next_has_the_seed_after
     assert torch.equal(track.shepherds(sim.now_ns), fresh.shepherds)
     graph.until(lambda: told and Episode.from_json(told[-1].data).number == 1, 'its description')
     assert Episode.from_json(told[-1].data) == sim.episode
-    assert (sim.episode.seed, sim.episode.world) == (41, world)
+    assert (sim.episode.seed, sim.episode.world) == (41, world.to_dict())
     assert graph.call_named('flock_sim/reset') == [(True, 'episode 2, seed 42')]
     assert graph.call_named('flock_sim/reset', seed=-5) == [(True, 'episode 3, seed -5')]
 

@@ -12,7 +12,7 @@ from shepherd_ros.cli import main
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.recordings.check import check_bag
 from shepherd_ros.recordings.counterfactual import metrics_table, record_future
-from shepherd_ros.recordings.episodes import Episode, iter_episodes
+from shepherd_ros.recordings.episodes import iter_episodes, RecordedEpisode
 from shepherd_ros.recordings.record import episode_folder, record_episodes
 from shepherd_ros.rosbag2.diff import diff_bags
 from shepherd_ros.rosbag2.reader import open_bag
@@ -40,7 +40,7 @@ def recorded(folder: Path, controller: str, flock: str = 'strombom', noise: floa
     return episode_folder(folder, 9)
 
 
-def whole(bag: Path) -> Episode:
+def whole(bag: Path) -> RecordedEpisode:
     """Return the only episode of a bag."""
     (episode,) = iter_episodes(open_bag(bag))
     return episode

@@ -12,7 +12,7 @@ import pytest
 from rosbag2.tiny import Sent, without, write
 from shepherd_ros.cli import main
 from shepherd_ros.controllers import make_controller
-from shepherd_ros.recordings.episodes import Episode, iter_episodes
+from shepherd_ros.recordings.episodes import iter_episodes, RecordedEpisode
 from shepherd_ros.recordings.record import episode_folder, record_episodes
 from shepherd_ros.recordings.replay import exact_heading, states_of
 from shepherd_ros.recordings.replay_check import asked_frames, Comparison
@@ -138,7 +138,7 @@ def test_what_is_missing_in_the_recording_is_named_and_no_success(
     assert 'missing: 24 commands' in out
 
 
-def whole(bag: Path) -> Episode:
+def whole(bag: Path) -> RecordedEpisode:
     """Return the only episode of a bag."""
     (episode,) = iter_episodes(open_bag(bag))
     return episode
@@ -165,9 +165,9 @@ def test_differences_by_hand(tmp_path: Path) -> None:
 def test_in_real_time_only_states_that_were_answered_are_asked_about(tmp_path: Path) -> None:
     episode = whole(recorded(tmp_path, 'pierson'))
     frames = [replace(f, commands=[None, None]) if f.step % 3 else f for f in episode.frames]
-    late = replace(episode, frames=frames, config={**episode.config, 'mode': 'realtime'})
+    late = replace(episode, frames=frames, mode='realtime')
     assert [frame.step for frame in asked_frames(late)] == [0, 3, 6, 9, 12]
-    assert asked_frames(replace(late, config=episode.config)) == frames
+    assert asked_frames(replace(late, mode=episode.mode)) == frames
 
 
 @pytest.mark.parametrize('flock', ['strombom', 'reynolds'])

@@ -64,7 +64,7 @@ class Talk(ShepherdNode):
         super().__init__(name, bus=bus, context=graph.context, cli_args=[])
         self.out = self.advertise('flock/poses')
         self.heard: list[int] = []
-        self.ear = self.listen('flock/poses', self.on_poses, raw=True)
+        self.ear = self.listen('flock/poses', self.on_poses, decode=bytes)
 
     def on_poses(self, raw: bytes) -> None:
         """Keep the stamp."""
@@ -168,7 +168,7 @@ def test_a_callback_on_the_bus_that_fails_ends_the_spin(graph: Graph, executor: 
             raise ArithmeticError('of a callback')
 
         one.destroy_subscription(one.ear)
-        one.listen('flock/poses', fail, raw=True)
+        one.listen('flock/poses', fail, decode=bytes)
         graph.until(lambda: one.out.get_subscription_count() == 1, 'it has found itself')
         graph.until(
             lambda: len(one.get_subscriptions_info_by_topic('flock/poses')) == 1, 'in the graph'

@@ -50,7 +50,7 @@ def episode(preset='default', flock='strombom'):
         goal_radius=world.goal_radius,
         frame_id='map',
         mode='lockstep',
-        world=world,
+        world=world.to_dict(),
     )
     return json.loads(made.to_json())
 

@@ -1,8 +1,7 @@
-"""Messages, the description of an episode, the buffer of commands, parameters: no graph needed."""
+"""What is written is what rclpy writes, and what is read is what it reads."""
 
 from __future__ import annotations
 
-import json
 import math
 import struct
 from typing import Any
@@ -16,21 +15,11 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import LaserScan
-from shepherd_ros.config import ConfigError
-from shepherd_ros.nodes.pending_commands import CommandBuffer
-from shepherd_ros.ros.messages import (
-    decode_command,
-    decode_poses,
-    decode_stamp,
-    decode_twist,
-)
 from shepherd_ros.ros.node import nanoseconds, stamp
-from shepherd_ros.ros.parameters import checked, descriptor
-from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.lidar import TOUCHING
-from shepherd_ros.sim.presets import PRESETS, training_world, world_preset
 from shepherd_ros.sim.vectors import from_bearing
-from shepherd_ros.wire import encode
+from shepherd_ros.wire import decode, encode
+from shepherd_ros.wire.decode import decode_stamp, decode_twist, decode_twist_stamped
 from shepherd_ros.wire.encode import (
     encode_clock,
     encode_command,
@@ -40,7 +29,6 @@ from shepherd_ros.wire.encode import (
     encode_text,
     encode_twist,
 )
-from shepherd_ros.wire.episode import Episode
 from std_msgs.msg import Float64, String
 import torch
 from torch import Tensor
@@ -77,11 +65,20 @@ def read_back(raw: bytes, kind: type) -> Any:
     return message
 
 
-def encode_poses(ns: int, frame_id: str, position: torch.Tensor, heading: torch.Tensor) -> bytes:
+def encode_poses(ns: int, frame_id: str, position: Tensor, heading: Tensor) -> bytes:
     return encode.encode_poses(ns, frame_id, position.numpy(), heading.numpy())
 
 
-# --- poses --------------------------------------------------------------------------------------
+def decode_poses(raw: bytes) -> tuple[int, str, Tensor, Tensor]:
+    """Return stamp [ns], frame, positions (K, 2) m and headings (K, 2), as nodes read them."""
+    ns, frame_id, xy, heading = decode.decode_poses(raw)
+    return ns, frame_id, torch.tensor(xy, dtype=torch.float32), torch.tensor(heading).float()
+
+
+def decode_command(raw: bytes) -> tuple[int | None, str, tuple[float, ...]]:
+    """Return stamp [ns], frame and velocity of a TwistStamped."""
+    ns, frame_id, velocity = decode_twist_stamped(raw)
+    return ns, frame_id, tuple(velocity.tolist())
 
 
 @pytest.mark.parametrize('frame_id', FRAMES)
@@ -165,9 +162,6 @@ def test_nan_and_infinite_positions_are_carried_for_the_reader_to_refuse() -> No
     assert torch.equal(read, position) or torch.allclose(read, position, equal_nan=True)
 
 
-# --- scans, goal, commands ----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize('n_rays', [4, 7, 512])
 def test_a_scan_follows_rep_117_and_its_angles_are_those_of_the_rays(n_rays: int) -> None:
     ranges = torch.linspace(TOUCHING, 75.0, n_rays)
@@ -213,210 +207,6 @@ def test_nanoseconds_survive_the_way_through_a_stamp(ns: int) -> None:
     assert nanoseconds(stamp(ns)) == ns
 
 
-# --- episode ------------------------------------------------------------------------------------
-
-
-def episode_of(preset: str = 'default', model: str = 'strombom', **changes: Any) -> Episode:
-    """Return an episode with a world of a preset."""
-    world = world_preset(preset, model)
-    values: dict[str, Any] = {
-        'number': 2, 'seed': 41, 'start_ns': 7_500_000_000, 'n_sheep': 100, 'n_shepherds': 3,
-        'goal_radius': 4.123456789, 'frame_id': 'map', 'mode': 'lockstep', 'world': world,
-    }  # fmt: skip
-    return Episode(**(values | changes))
-
-
-@pytest.mark.parametrize('model', sorted(FLOCK_MODELS))
-@pytest.mark.parametrize('preset', sorted(PRESETS))
-def test_an_episode_comes_back_from_json_as_it_was(preset: str, model: str) -> None:
-    episode = episode_of(preset, model)
-    assert Episode.from_json(episode.to_json()) == episode
-    other = episode_of(world=training_world(episode.world), seed=-3, start_ns=0)
-    assert Episode.from_json(other.to_json()) == other
-
-
-def test_steps_of_an_episode_are_counted_from_its_first_stamp() -> None:
-    episode = episode_of()  # 1000 steps of 0.5 s from 7.5 s on
-    assert episode.dt_ns == 500_000_000
-    assert episode.step_of(7_500_000_000) == 0
-    assert episode.step_of(8_000_000_000) == 1
-    assert episode.has(7_500_000_000)
-    assert episode.has(507_500_000_000)
-    assert not episode.has(7_000_000_000)
-    assert not episode.has(508_000_000_000)
-
-
-def changed(**changes: Any) -> str:
-    """Return an episode as JSON with other values at its top."""
-    return json.dumps(json.loads(episode_of().to_json()) | changes)
-
-
-@pytest.mark.parametrize(
-    ('text', 'pattern'),
-    [
-        ('', 'cannot be read'),
-        ('no JSON', "'no JSON' cannot be read"),
-        ('null', 'cannot be read'),
-        ('[]', 'cannot be read'),
-        ('3', 'cannot be read'),
-        ('{}', "KeyError.*'schema'"),
-        ('{"schema": 1}', "KeyError.*'number'"),
-        (changed(schema=99), 'schema is 99: expected 1'),
-        (changed(start=None), 'cannot be read'),
-        (changed(start={'sec': '1', 'nanosec': 0}), 'cannot be read'),
-        (changed(seed='seven'), 'seven'),
-        (changed(n_sheep=math.inf), 'cannot be read'),
-        (changed(goal_radius='wide'), 'wide'),
-        (changed(world=[]), 'cannot be read|expected a mapping'),
-        (changed(world={'flock': 'strombom'}), 'cannot be read|expected a mapping'),
-        (changed(world={'flock': {'model': 'boids'}}), "flock is 'boids': expected one of"),
-        (changed(world={'dt': 'half'}), "dt is 'half'.*expected float"),
-        (changed(world={'dt': math.nan}), 'dt is nan: expected a finite number'),
-        (changed(world={'weather': 'fine'}), 'weather'),
-        (changed(world={'spawn': {'place': 1}}), "'place'"),
-    ],
-    ids=lambda value: value[:12],
-)
-def test_a_bad_episode_is_refused_in_words(text: str, pattern: str) -> None:
-    with pytest.raises(ConfigError, match=pattern):
-        Episode.from_json(text)
-
-
-# --- commands -----------------------------------------------------------------------------------
-
-
-def test_a_new_buffer_waits_for_everybody() -> None:
-    buffer = CommandBuffer(3)
-    assert not buffer.complete
-    assert buffer.silent() == [0, 1, 2]
-    assert buffer.velocity.tolist() == [[0.0, 0.0]] * 3
-
-
-def test_the_buffer_is_complete_once_everybody_has_answered() -> None:
-    buffer = CommandBuffer(2)
-    buffer.add(1, (0.5, -0.5))
-    assert not buffer.complete
-    assert buffer.silent() == [0]
-    buffer.add(0, (1.0, 0.0))
-    assert buffer.complete
-    assert buffer.velocity.tolist() == [[1.0, 0.0], [0.5, -0.5]]
-
-
-def test_a_later_answer_replaces_an_earlier_one() -> None:
-    buffer = CommandBuffer(1)
-    buffer.add(0, (1.0, 0.0))
-    buffer.add(0, (0.0, 2.0))
-    assert buffer.velocity.tolist() == [[0.0, 2.0]]
-
-
-def test_a_new_state_asks_everybody_again() -> None:
-    buffer = CommandBuffer(2)
-    buffer.add(0, (1.0, 0.0))
-    buffer.add(1, (1.0, 0.0))
-    buffer.expect()
-    assert buffer.silent() == [0, 1]
-
-
-def test_a_command_is_held_until_it_is_older_than_the_watchdog_allows() -> None:
-    buffer = CommandBuffer(2)
-    buffer.add(0, (1.0, 2.0))
-    ages = []
-    for _ in range(5):
-        ages.append((buffer.age[0], buffer.held(3).tolist()))
-        buffer.expect()
-    kept, stopped = [[1.0, 2.0], [0.0, 0.0]], [[0.0, 0.0]] * 2
-    assert ages == [(0, kept), (1, kept), (2, kept), (3, kept), (4, stopped)]
-    buffer.add(0, (3.0, 0.0))  # it wakes up
-    assert buffer.held(3).tolist() == [[3.0, 0.0], [0.0, 0.0]]
-
-
-def test_a_watchdog_of_zero_steps_takes_only_answers_to_the_present_state() -> None:
-    buffer = CommandBuffer(1)
-    buffer.add(0, (1.0, 0.0))
-    assert buffer.held(0).tolist() == [[1.0, 0.0]]
-    buffer.expect()
-    assert buffer.held(0).tolist() == [[0.0, 0.0]]
-
-
-def test_a_shepherd_that_never_spoke_never_moves_whatever_the_watchdog() -> None:
-    buffer = CommandBuffer(1)
-    for _ in range(3):
-        buffer.expect()
-    assert buffer.held(2**29).tolist() == [[0.0, 0.0]]
-
-
-def test_a_nan_in_a_command_is_kept_for_the_world_to_refuse() -> None:
-    buffer = CommandBuffer(1)
-    buffer.add(0, (math.nan, math.inf))
-    assert buffer.complete
-    assert not buffer.velocity.isfinite().any()
-
-
-# --- parameters ---------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ('value', 'default', 'limits', 'expected'),
-    [
-        (20, 0.5, {}, 20.0),  # an integer is taken where a float is expected
-        (0.25, 0.5, {}, 0.25),
-        (7, 3, {}, 7),
-        (True, False, {}, True),
-        ('b', 'a', {'choices': ('a', 'b')}, 'b'),
-        ([1, 2], [0], {}, [1, 2]),
-        (1, 0.5, {'low': 1, 'high': 1}, 1.0),
-    ],
-)
-def test_a_good_parameter_is_taken_in_the_type_of_its_default(
-    value: Any, default: Any, limits: dict[str, Any], expected: Any
-) -> None:
-    result = checked('x', value, default, limits)
-    assert result == expected
-    assert type(result) is type(default)
-
-
-@pytest.mark.parametrize(
-    ('value', 'default', 'limits', 'pattern'),
-    [
-        (True, 0.5, {}, r'x is True \(bool\): expected float, such as 0.5'),
-        (True, 3, {}, r'x is True \(bool\): expected int, such as 3'),
-        (1, False, {}, r'x is 1 \(int\): expected bool, such as False'),
-        (2.0, 3, {}, r'x is 2.0 \(float\): expected int, such as 3'),
-        ('2', 0.5, {}, r"x is '2' \(str\): expected float, such as 0.5"),
-        (5, 'a', {}, r'x is 5 \(int\): expected str'),
-        (5, [0], {}, r'x is 5 \(int\): expected list, such as \[0\]'),
-        (math.nan, 0.5, {}, 'x is nan: expected a finite number, such as 0.5'),
-        (-math.inf, 0.5, {}, 'x is -inf: expected a finite number'),
-        (0, 3, {'low': 1}, r'x is 0: expected a value in \[1, inf\], such as 3'),
-        (2, 0.5, {'high': 1.0}, r'x is 2.0: expected a value in \[-inf, 1.0\]'),
-        ('c', 'a', {'choices': ('a', 'b')}, "x is 'c': expected one of a, b"),
-        ('alphb', 'alpha', {'choices': ('alpha', 'z')}, "did you mean 'alpha'"),
-    ],
-)
-def test_a_bad_parameter_is_refused_with_value_expectation_and_example(
-    value: Any, default: Any, limits: dict[str, Any], pattern: str
-) -> None:
-    with pytest.raises(ConfigError, match=pattern):
-        checked('x', value, default, limits)
-
-
-def test_a_descriptor_has_the_range_on_both_sides_even_if_only_one_is_given() -> None:
-    described = descriptor(0.5, {'doc': 'a share', 'low': 0.0}, read_only=True)
-    (interval,) = described.floating_point_range
-    assert (interval.from_value, interval.step) == (0.0, 0.0)
-    assert interval.to_value >= 1e9
-    assert described.description == 'a share'
-    assert described.read_only
-    described = descriptor(3, {'doc': 'a count', 'low': 1, 'high': 9}, read_only=False)
-    (interval,) = described.integer_range
-    assert (interval.from_value, interval.to_value, interval.step) == (1, 9, 0)
-    assert not described.read_only
-    described = descriptor('a', {'doc': 'a name', 'choices': ('a', 'b')}, read_only=True)
-    assert 'a, b' in described.additional_constraints
-    assert not described.integer_range
-    assert not described.floating_point_range
-
-
 @pytest.mark.parametrize('frame_id', FRAMES)
 def test_goal_and_command_are_read_whatever_the_length_of_the_frame(frame_id: str) -> None:
     command = read_back(encode_command(NS, frame_id, 0.25, -0.5), TwistStamped)
@@ -449,12 +239,12 @@ def test_commands_and_stamps_are_read_from_both_kinds_of_machine(frame_id: str) 
     assert decode_command(encode_command(3_500_000_000, frame_id, 0.25, -0.5)) == expected
     velocity = struct.pack('>6d', 0.25, -0.5, 0.0, 0.0, 0.0, 0.0)
     assert decode_command(big_endian(frame_id, 8) + velocity) == expected
-    assert decode_stamp(big_endian(frame_id, 8) + velocity, TwistStamped) == 3_500_000_000
-    assert decode_stamp(serialize_message(message), TwistStamped) == 3_500_000_000
+    assert decode_stamp(big_endian(frame_id, 8) + velocity) == 3_500_000_000
+    assert decode_stamp(serialize_message(message)) == 3_500_000_000
 
 
 def test_a_plain_velocity_is_read_from_both_kinds_of_machine() -> None:
-    assert decode_twist(encode_twist(0.25, -0.5)) == (0.25, -0.5)
-    assert decode_twist(serialize_message(Twist())) == (0.0, 0.0)
+    assert decode_twist(encode_twist(0.25, -0.5)).xy.tolist() == [0.25, -0.5]
+    assert decode_twist(serialize_message(Twist())).xy.tolist() == [0.0, 0.0]
     velocity = struct.pack('>6d', 0.25, -0.5, 0.0, 0.0, 0.0, 0.0)
-    assert decode_twist(b'\x00\x00\x00\x00' + velocity) == (0.25, -0.5)
+    assert decode_twist(b'\x00\x00\x00\x00' + velocity).xy.tolist() == [0.25, -0.5]

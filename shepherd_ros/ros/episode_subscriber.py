@@ -1,0 +1,30 @@
+"""Subscription to the topic episode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from shepherd_ros.config import ConfigError
+from shepherd_ros.ros.node import ShepherdNode
+from shepherd_ros.sim.world import WorldConfig
+from shepherd_ros.wire.episode import Episode
+
+
+def listen_to_episodes(
+    node: ShepherdNode, on_episode: Callable[[Episode, WorldConfig], None]
+) -> None:
+    """Call on_episode(episode, its world) for each new episode; log those that are refused."""
+    present: list[Episode] = []
+
+    def receive(text: str) -> None:
+        try:
+            episode = Episode.from_json(text)
+            world = WorldConfig.from_dict(episode.world)
+        except ConfigError as error:
+            node.get_logger().error(str(error))
+            return
+        if [episode] != present:  # flock_sim repeats the present one to those who are silent
+            present[:] = [episode]
+            on_episode(episode, world)
+
+    node.listen('episode', receive)
