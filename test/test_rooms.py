@@ -45,7 +45,7 @@ def test_rooms_import_only_what_they_may() -> None:
         ('view/track.py', 'import torch', 'without-torch'),
         ('view/track.py', 'from shepherd_ros.sim.state import WorldState', 'without-torch'),
         ('recordings/info.py', 'import rclpy', 'ros'),
-        ('sim/world.py', 'from sensor_msgs.msg import LaserScan', 'ros'),
+        ('sim/world.py', 'from geometry_msgs.msg import Point', 'ros'),
         ('nodes/policy_node.py', 'import shepherd_ros.rosbag2.reader', 'bags'),
         ('learning/ppo.py', 'def late():\n    import mcap', 'mcap'),
     ],

@@ -75,12 +75,16 @@ def namespaces(bag: Bag) -> list[str]:
 
 
 def announced(bag: Bag, namespace: str) -> list[tuple[int, Episode]]:
-    """Return log time [ns] and content of all messages on the topic episode; raises BagError."""
+    """
+    Return log time [ns] and content of all messages on the topic episode; raises BagError.
+
+    A goal_radius that is not there is 0.
+    """
     infos = []
     for message in bag.messages([f'{namespace}/{EPISODE}']):
         text = decoded(bag, message, ['std_msgs/msg/String'])
         try:
-            infos.append((message.log_ns, Episode.from_json(text)))
+            infos.append((message.log_ns, Episode.from_json(text, goal_radius=0.0)))
         except ConfigError as error:
             raise BagError(bag.path, f'{message.topic}: {error}') from error
     return infos

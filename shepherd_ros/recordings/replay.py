@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from shepherd_ros.config import ConfigError
 from shepherd_ros.recordings.episodes import Frame, RecordedEpisode
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.rollout import arrive, EnvConfig, start
@@ -17,9 +18,12 @@ def states_of(episode: RecordedEpisode, frames: Sequence[Frame] | None = None) -
     """
     Return the recorded states, or some of them, as a batch (T), bit by bit as they were.
 
-    A goal that was not recorded is at 0, 0.
+    A goal that was not recorded is at 0, 0. Raises ConfigError if the radius of the goal is not
+    known.
     """
     states = []
+    if not episode.goal_radius:
+        raise ConfigError('goal_radius of an episode is not known: expected metres')
     for frame in episode.frames if frames is None else frames:
         goal = np.zeros(2) if frame.goal is None else frame.goal
         states.append(

@@ -80,14 +80,15 @@ class Episode:
         return json.dumps(data, sort_keys=True)
 
     @classmethod
-    def from_json(cls, text: str) -> Episode:
+    def from_json(cls, text: str, **defaults: Any) -> Episode:
         """
         Return the episode, or raise ConfigError that says what is wrong with the text.
 
-        Of the world only what all readers need is checked, the rest by WorldConfig.from_dict().
+        defaults are values of what may be missing. Of the world only what all readers need is
+        checked, the rest by WorldConfig.from_dict().
         """
         try:
-            data = mapping('episode', json.loads(text))
+            data = {**defaults, **mapping('episode', json.loads(text))}
             if data['schema'] != SCHEMA:
                 raise ConfigError(f'schema is {data["schema"]}: expected {SCHEMA}')
             about = _read(data, FIELDS)
