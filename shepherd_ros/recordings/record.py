@@ -157,7 +157,7 @@ def write_moment(
     what another one would command.
     """
     ranges, lidar = moment.ranges.numpy(), moment.config.lidar
-    values = moment.metrics(bags[0].episode.world.episode_steps)
+    values = moment.metrics(bags[0].episode.episode_steps)
     for k, bag in enumerate(bags):
         bag.step(
             moment.state.world(k),
