@@ -40,6 +40,18 @@ def _opening(share, team):
 
 
 @compiled
+def _spread(sheep, mask, x, y, count):
+    """Return the standard distance of the present sheep from their mean x, y [m]."""
+    var_x, var_y = _ZERO, _ZERO
+    for i in range(sheep.shape[0]):
+        if mask[i]:
+            dx, dy = sheep[i, 0] - x, sheep[i, 1] - y
+            var_x += dx * dx
+            var_y += dy * dy
+    return np.float32(math.sqrt(var_x / np.float32(count) + var_y / np.float32(count)))
+
+
+@compiled
 def _pierson(
     sheep, sheep_mask, shepherds, shepherd_mask, goal, heading, sorted_places, lead, gain,
     max_turn_rate, weakest, strongest, spread_factor, min_radius, max_radius, tracking, pace, dt,
@@ -49,13 +61,7 @@ def _pierson(
     around, place = np.empty(size, np.float32), np.empty(size, np.float32)
     for b in range(sheep.shape[0]):
         x, y, count = mean(sheep[b], sheep_mask[b])
-        var_x, var_y = _ZERO, _ZERO
-        for i in range(sheep.shape[1]):
-            if sheep_mask[b, i]:
-                dx, dy = sheep[b, i, 0] - x, sheep[b, i, 1] - y
-                var_x += dx * dx
-                var_y += dy * dy
-        spread = np.float32(math.sqrt(var_x / np.float32(count) + var_y / np.float32(count)))
+        spread = _spread(sheep[b], sheep_mask[b], x, y, count)
         cos, sin = np.float32(math.cos(heading[b])), np.float32(math.sin(heading[b]))
         ahead_x, ahead_y = x + lead * cos - goal[b, 0], y + lead * sin - goal[b, 1]
         speed = -gain * (ahead_x * cos + ahead_y * sin)

@@ -74,6 +74,29 @@ def _detour(x, y, d, radius, stride, turn):
 
 
 @compiled
+def _distances(sheep, mask, x, y, distance):
+    """Write distances of the present sheep from x, y into distance (N,) m; return the largest."""
+    radius = _ZERO
+    for i in range(sheep.shape[0]):
+        distance[i] = _ZERO
+        if mask[i]:
+            distance[i] = length(sheep[i, 0] - x, sheep[i, 1] - y)
+            radius = max(radius, distance[i])
+    return radius
+
+
+@compiled
+def _nearest(sheep, mask, x, y):
+    """Return the distance of the nearest present sheep from x, y [m]."""
+    nearest = _FAR
+    for i in range(sheep.shape[0]):
+        dx, dy = x - sheep[i, 0], y - sheep[i, 1]
+        if mask[i]:
+            nearest = min(nearest, dx * dx + dy * dy)
+    return np.float32(math.sqrt(nearest))
+
+
+@compiled
 def _strombom(
     seed, step, sheep, sheep_mask, shepherds, shepherd_mask, goal, elfiqi, r, standoff, margin,
     tolerance, wing_spacing, noise, stop, dt, top, velocity,
@@ -85,13 +108,7 @@ def _strombom(
     for b in range(sheep.shape[0]):
         x, y, count = mean(sheep[b], sheep_mask[b])
         size = np.float32(count)
-        radius, here = _ZERO, 0
-        for i in range(n):
-            distance[i] = _ZERO
-            if sheep_mask[b, i]:
-                distance[i] = length(sheep[b, i, 0] - x, sheep[b, i, 1] - y)
-                radius = max(radius, distance[i])
-        radius += margin
+        radius, here = _distances(sheep[b], sheep_mask[b], x, y, distance) + margin, 0
         for h in range(team):
             here += shepherd_mask[b, h]
         together, collect = r * np.float32(size ** (2 / 3)), r
@@ -110,12 +127,8 @@ def _strombom(
         key = key_of(seed[b], step[b], _CONTROL)
         for h in range(team):
             velocity[b, h, 0], velocity[b, h, 1] = _ZERO, _ZERO
-            nearest = _FAR
-            for i in range(n):
-                dx, dy = shepherds[b, h, 0] - sheep[b, i, 0], shepherds[b, h, 1] - sheep[b, i, 1]
-                if sheep_mask[b, i]:
-                    nearest = min(nearest, dx * dx + dy * dy)
-            if not shepherd_mask[b, h] or np.float32(math.sqrt(nearest)) < stop:
+            nearest = _nearest(sheep[b], sheep_mask[b], shepherds[b, h, 0], shepherds[b, h, 1])
+            if not shepherd_mask[b, h] or nearest < stop:
                 continue
             to_x, to_y = target[h, 0] - shepherds[b, h, 0], target[h, 1] - shepherds[b, h, 1]
             way_x, way_y = unit(to_x, to_y)

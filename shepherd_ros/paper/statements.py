@@ -31,42 +31,27 @@ RL, S, P = 'RL', 'strombom', 'pierson'
 ALL = (RL, S, P)
 HIGH = 0.9  # a `high` share of the flock
 
-CLAIMS: tuple[Claim, ...] = (
-    Claim(
-        'fig4',
-        'Pierson is the fastest, in as little as two thirds of the time of RL',
-        (
+# by figure, by statement: what holds where it does
+STATEMENTS: dict[str, dict[str, tuple[Clause, ...]]] = {
+    'fig4': {
+        'Pierson is the fastest, in as little as two thirds of the time of RL': (
             below('time, Pierson over the better of the others', TIME, P, RL, S),
             about('time, Pierson over RL: smallest ratio', smallest_ratio(P, RL, TIME), 2 / 3),
         ),
-    ),
-    Claim(
-        'fig4',
-        'Pierson shepherds move about four times as far as those of RL',
-        (about('shepherd path, Pierson over RL', ratio(P, RL, PATH), 4.0),),
-    ),
-    Claim(
-        'fig4',
-        'RL has the shortest shepherd paths',
-        (below('shepherd path, RL over the better of the others', PATH, RL, S, P),),
-    ),
-    Claim(
-        'fig4',
-        'Strömbom has the lowest spread, about 30 % below RL',
-        (
+        'Pierson shepherds move about four times as far as those of RL': (
+            about('shepherd path, Pierson over RL', ratio(P, RL, PATH), 4.0),
+        ),
+        'RL has the shortest shepherd paths': (
+            below('shepherd path, RL over the better of the others', PATH, RL, S, P),
+        ),
+        'Strömbom has the lowest spread, about 30 % below RL': (
             below('spread, Strömbom over the lower of the others', SPREAD, S, RL, P),
             about('spread, Strömbom over RL', ratio(S, RL, SPREAD), 0.7),
         ),
-    ),
-    Claim(
-        'fig4',
-        'Pierson has the largest spread',
-        (above('spread, Pierson over the larger of the others', SPREAD, P, RL, S),),
-    ),
-    Claim(
-        'fig4',
-        'The spread of RL and of Strömbom grows with the flock at similar rates',
-        (
+        'Pierson has the largest spread': (
+            above('spread, Pierson over the larger of the others', SPREAD, P, RL, S),
+        ),
+        'The spread of RL and of Strömbom grows with the flock at similar rates': (
             Clause('spread per sheep, RL [m]', slope(RL, SPREAD), low=0.0),
             Clause('spread per sheep, Strömbom [m]', slope(S, SPREAD), low=0.0),
             Clause(
@@ -76,19 +61,13 @@ CLAIMS: tuple[Claim, ...] = (
                 2.0,
             ),
         ),
-    ),
-    Claim(
-        'fig4',
-        'The flock path of RL is about that of Strömbom, that of Pierson is larger',
-        (
+        'The flock path of RL is about that of Strömbom, that of Pierson is larger': (
             about('flock path, RL over Strömbom', ratio(RL, S, FLOCK), 1.0),
             above('flock path, Pierson over the larger of the others', FLOCK, P, RL, S),
         ),
-    ),
-    Claim(
-        'fig5',
-        'All methods get faster with more shepherds, with little gain after 3 to 4',
-        (
+    },
+    'fig5': {
+        'All methods get faster with more shepherds, with little gain after 3 to 4': (
             Clause(
                 'time with 6 over that with 1, the slowest to gain',
                 largest([change(m, TIME, 1, 6) for m in ALL]),
@@ -100,28 +79,16 @@ CLAIMS: tuple[Claim, ...] = (
                 high=FLAT,
             ),
         ),
-    ),
-    Claim(
-        'fig5',
-        'Shepherd paths of RL grow with the team, both baselines stay above double',
-        (
+        'Shepherd paths of RL grow with the team, both baselines stay above double': (
             Clause('shepherd path per shepherd more, RL [m]', slope(RL, PATH), low=0.0),
             above('shepherd path, Strömbom over RL', PATH, S, RL, least=2.0),
             above('shepherd path, Pierson over RL', PATH, P, RL, least=2.0),
         ),
-    ),
-    Claim(
-        'fig5',
-        'The flock path of RL grows to about 80 % of that of Pierson',
-        (
+        'The flock path of RL grows to about 80 % of that of Pierson': (
             Clause('flock path per shepherd more, RL [m]', slope(RL, FLOCK), low=0.0),
             about('flock path with 6, RL over Pierson', ratio_at(RL, P, FLOCK, 6), 0.8),
         ),
-    ),
-    Claim(
-        'fig5',
-        'The spread of RL is below that of Pierson, about 1.5 that of Strömbom, and flat',
-        (
+        'The spread of RL is below that of Pierson, about 1.5 that of Strömbom, and flat': (
             below('spread, RL over Pierson', SPREAD, RL, P),
             about('spread, RL over Strömbom', ratio(RL, S, SPREAD), 1.5),
             Clause(
@@ -130,61 +97,43 @@ CLAIMS: tuple[Claim, ...] = (
                 high=ABOUT,
             ),
         ),
-    ),
-    Claim(
-        'fractions',
-        'Pierson guides 100 % of the flock to the goal',
-        (Clause('mean share, Pierson', average(P, SHARE), low=1 - NEAR),),
-    ),
-    Claim(
-        'fractions',
-        'Strömbom guides 95.8 % of the flock to the goal',
-        (Clause('mean share, Strömbom', average(S, SHARE), 0.958 - NEAR, 0.958 + NEAR),),
-    ),
-    Claim(
-        'fractions',
-        'RL guides 97.8 % of the flock to the goal',
-        (Clause('mean share, RL', average(RL, SHARE), 0.978 - NEAR, 0.978 + NEAR),),
-    ),
-    Claim(
-        'fractions',
-        'The shares hardly change with flock and team',
-        (
+    },
+    'fractions': {
+        'Pierson guides 100 % of the flock to the goal': (
+            Clause('mean share, Pierson', average(P, SHARE), low=1 - NEAR),
+        ),
+        'Strömbom guides 95.8 % of the flock to the goal': (
+            Clause('mean share, Strömbom', average(S, SHARE), 0.958 - NEAR, 0.958 + NEAR),
+        ),
+        'RL guides 97.8 % of the flock to the goal': (
+            Clause('mean share, RL', average(RL, SHARE), 0.978 - NEAR, 0.978 + NEAR),
+        ),
+        'The shares hardly change with flock and team': (
             Clause(
                 'largest less smallest share, worst method',
                 largest([extent(m, SHARE) for m in ALL]),
                 high=0.05,
             ),
         ),
-    ),
-    Claim(
-        'fig6',
-        'The time of Strömbom rises from a noise of 0.6 m',
-        (
+    },
+    'fig6': {
+        'The time of Strömbom rises from a noise of 0.6 m': (
             Clause('time at 0.4 m over that at 0', change(S, TIME, 0.0, 0.4), high=1 + FLAT),
             Clause('time at 2 m over that at 0.6 m', change(S, TIME, 0.6, 2.0), low=1 + FLAT),
         ),
-    ),
-    Claim(
-        'fig6',
-        'The time of RL does not rise until 1.4 m',
-        (flat('largest time until 1.4 m over that at 0', RL, lambda x: x <= 1.41, 1.4),),
-    ),
-    Claim('fig6', 'The time of Pierson is constant', (flat('largest time over that at 0', P),)),
-    Claim(
-        'fig6',
-        'Pierson has the longest shepherd paths, at high noise twice those of RL and five times '
-        'those of Strömbom',
+        'The time of RL does not rise until 1.4 m': (
+            flat('largest time until 1.4 m over that at 0', RL, lambda x: x <= 1.41, 1.4),
+        ),
+        'The time of Pierson is constant': (flat('largest time over that at 0', P),),
         (
+            'Pierson has the longest shepherd paths, at high noise twice those of RL and five times '
+            'those of Strömbom'
+        ): (
             above('shepherd path, Pierson over the longer of the others', PATH, P, RL, S),
             about('shepherd path at 2 m, Pierson over RL', ratio_at(P, RL, PATH, 2.0), 2.0),
             about('shepherd path at 2 m, Pierson over Strömbom', ratio_at(P, S, PATH, 2.0), 5.0),
         ),
-    ),
-    Claim(
-        'fig6',
-        'Shepherd paths of RL are below those of Strömbom until 1 m, then above',
-        (
+        'Shepherd paths of RL are below those of Strömbom until 1 m, then above': (
             below(
                 'shepherd path below 1 m, RL over Strömbom', PATH, RL, S, where=lambda x: x < 0.99
             ),
@@ -192,46 +141,28 @@ CLAIMS: tuple[Claim, ...] = (
                 'shepherd path above 1 m, RL over Strömbom', PATH, RL, S, where=lambda x: x > 1.01
             ),
         ),
-    ),
-    Claim(
-        'fig6',
-        'Shepherd paths of Strömbom get shorter with noise',
-        (Clause('shepherd path at 2 m over that at 0', change(S, PATH, 0.0, 2.0), high=1.0),),
-    ),
-    Claim(
-        'fig6',
-        'All methods succeed at all noises',
-        (Clause('smallest share of the flock', lowest(SHARE, ALL), low=HIGH),),
-    ),
-    Claim(
-        'fig7',
-        'Pierson and RL bring a high share home up to rho_a = 4',
-        (
+        'Shepherd paths of Strömbom get shorter with noise': (
+            Clause('shepherd path at 2 m over that at 0', change(S, PATH, 0.0, 2.0), high=1.0),
+        ),
+        'All methods succeed at all noises': (
+            Clause('smallest share of the flock', lowest(SHARE, ALL), low=HIGH),
+        ),
+    },
+    'fig7': {
+        'Pierson and RL bring a high share home up to rho_a = 4': (
             Clause('smallest share, Pierson', lowest(SHARE, (P,)), low=HIGH),
             Clause('smallest share, RL', lowest(SHARE, (RL,)), low=HIGH),
         ),
-    ),
-    Claim(
-        'fig7',
-        'Strömbom brings a high share home up to 3 and 40 % at 4',
-        (
+        'Strömbom brings a high share home up to 3 and 40 % at 4': (
             Clause('smallest share up to 3', lowest(SHARE, (S,), lambda x: x < 3.01), low=HIGH),
             about('share at 4', at(S, SHARE, 4.0), 0.4),
         ),
-    ),
-    Claim(
-        'fig7',
-        'Shepherd paths get shorter with rho_a, slightly for Pierson and RL, much for Strömbom',
-        (
+        'Shepherd paths get shorter with rho_a, slightly for Pierson and RL, much for Strömbom': (
             Clause('path at 4 over that at 1, Pierson', change(P, PATH, 1.0, 4.0), 0.7, 1.0),
             Clause('path at 4 over that at 1, RL', change(RL, PATH, 1.0, 4.0), 0.7, 1.0),
             Clause('path at 4 over that at 1, Strömbom', change(S, PATH, 1.0, 4.0), high=0.7),
         ),
-    ),
-    Claim(
-        'fig7',
-        'Shepherd paths of Strömbom are below those of RL from 3 on',
-        (
+        'Shepherd paths of Strömbom are below those of RL from 3 on': (
             below(
                 'shepherd path from 3 on, Strömbom over RL', PATH, S, RL, where=lambda x: x > 2.99
             ),
@@ -239,29 +170,19 @@ CLAIMS: tuple[Claim, ...] = (
                 'shepherd path below 3, Strömbom over RL', PATH, S, RL, where=lambda x: x < 2.99
             ),
         ),
-    ),
-    Claim(
-        'fig7',
-        'Shepherd paths of Strömbom are shorter at 0.5, too',
-        (Clause('shepherd path at 0.5 over that at 1', change(S, PATH, 1.0, 0.5), high=1.0),),
-    ),
-    Claim(
-        'fig8',
-        'Pierson brings a very high share of the Reynolds flock home',
-        (Clause('smallest share, Pierson', lowest(SHARE, (P,)), low=HIGH),),
-    ),
-    Claim(
-        'fig8',
-        'Strömbom brings about 10 % of it home at all sizes',
-        (
+        'Shepherd paths of Strömbom are shorter at 0.5, too': (
+            Clause('shepherd path at 0.5 over that at 1', change(S, PATH, 1.0, 0.5), high=1.0),
+        ),
+    },
+    'fig8': {
+        'Pierson brings a very high share of the Reynolds flock home': (
+            Clause('smallest share, Pierson', lowest(SHARE, (P,)), low=HIGH),
+        ),
+        'Strömbom brings about 10 % of it home at all sizes': (
             Clause('smallest share, Strömbom', lowest(SHARE, (S,)), low=0.0, high=0.2),
             Clause('largest share, Strömbom', highest(SHARE, (S,)), low=0.0, high=0.2),
         ),
-    ),
-    Claim(
-        'fig8',
-        'RL brings a high share home above 30 sheep, a lower one below',
-        (
+        'RL brings a high share home above 30 sheep, a lower one below': (
             Clause(
                 'smallest share above 30 sheep', lowest(SHARE, (RL,), lambda x: x > 30), low=HIGH
             ),
@@ -271,21 +192,20 @@ CLAIMS: tuple[Claim, ...] = (
                 high=0.0,
             ),
         ),
-    ),
-    Claim(
-        'fig8',
-        'Shepherd paths of Strömbom are less than 66 % of those of RL',
-        (Clause('shepherd path, Strömbom over RL', ratio(S, RL, PATH), high=0.66),),
-    ),
-    Claim(
-        'fig8',
-        'Shepherd paths of RL grow gently with the flock',
-        (
+        'Shepherd paths of Strömbom are less than 66 % of those of RL': (
+            Clause('shepherd path, Strömbom over RL', ratio(S, RL, PATH), high=0.66),
+        ),
+        'Shepherd paths of RL grow gently with the flock': (
             Clause(
                 'shepherd path with 100 sheep over that with 10',
                 change(RL, PATH, 10, 100),
                 high=1.5,
             ),
         ),
-    ),
+    },
+}
+CLAIMS = tuple(
+    Claim(figure, text, clauses)
+    for figure, statements in STATEMENTS.items()
+    for text, clauses in statements.items()
 )

@@ -59,6 +59,24 @@ def _direction(x, y):
 
 
 @compiled
+def _difference(x, y, from_x, from_y):
+    """Return the difference of two directions."""
+    to_x, to_y = _direction(x, y)
+    from_x, from_y = _direction(from_x, from_y)
+    return to_x - from_x, to_y - from_y
+
+
+@compiled
+def _limited(x, y, limit):
+    """Return a vector made at most so long."""
+    size = length(x, y)
+    if size > limit:
+        scale = limit / max(size, _EPSILON)
+        x, y = x * scale, y * scale
+    return x, y
+
+
+@compiled
 def _reynolds(
     sheep, heading, mask, shepherds, shepherd_mask, directions, view, w_s, w_v, w_c, w_f, limit,
     nearest, speed, dt, new_sheep, new_heading,
@@ -93,20 +111,16 @@ def _reynolds(
                 if directions:
                     apart_x, apart_y = _direction(apart_x, apart_y)
                     to_x, to_y = _direction(to_x, to_y)
-                    mean_x, mean_y = _direction(turn_x / others, turn_y / others)
-                    own_x, own_y = _direction(heading[b, i, 0], heading[b, i, 1])
-                    along_x, along_y = mean_x - own_x, mean_y - own_y
+                    along_x, along_y = _difference(
+                        turn_x / others, turn_y / others, heading[b, i, 0], heading[b, i, 1]
+                    )
                 force_x = w_s * apart_x + w_v * along_x + w_c * to_x
                 force_y = w_s * apart_y + w_v * along_y + w_c * to_y
             met = in_reach(x, y, shepherds[b], shepherd_mask[b], view, noticed)
             away_x, away_y = _fear(x, y, shepherds[b], noticed, met, nearest)
             if directions:
                 away_x, away_y = _direction(away_x, away_y)
-            force_x, force_y = force_x + w_f * away_x, force_y + w_f * away_y
-            size = length(force_x, force_y)
-            if size > limit:
-                scale = limit / max(size, _EPSILON)
-                force_x, force_y = force_x * scale, force_y * scale
+            force_x, force_y = _limited(force_x + w_f * away_x, force_y + w_f * away_y, limit)
             way_x, way_y = unit(u + force_x * dt, v + force_y * dt)
             if way_x == 0 and way_y == 0:
                 way_x, way_y = heading[b, i, 0], heading[b, i, 1]
