@@ -18,12 +18,12 @@ import signal
 import tempfile
 import time
 
-from bags import recorder
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
+from recorder_load import recorder
 from rosbags.highlevel import AnyReader
 from shepherd_ros.bringup import herding_stack
 from shepherd_ros.cli.processes import isolate, running

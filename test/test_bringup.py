@@ -142,7 +142,7 @@ def test_a_bag_is_played_as_a_whole_unless_a_controller_answers() -> None:
 
 def test_the_player_takes_the_words_of_the_launch_file() -> None:
     tyro = pytest.importorskip('tyro')
-    options = pytest.importorskip('shepherd_ros.nodes.player_node').PlayerOptions
+    options = pytest.importorskip('shepherd_ros.nodes.player_options').PlayerOptions
     words = replayed(controller='pierson', rate='2', loop='true').player
     parsed = tyro.cli(options, args=words)
     assert (parsed.bag, parsed.rate, parsed.loop) == (Path('b'), 2.0, True)

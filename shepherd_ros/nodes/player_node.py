@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-import math
-from pathlib import Path
 from threading import Event, Lock, Thread
-from typing import Annotated, Any
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
@@ -19,6 +16,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.validate_full_topic_name import validate_full_topic_name
 from shepherd_ros.config import ConfigError
+from shepherd_ros.nodes.player_options import PlayerOptions
 from shepherd_ros.ros.node import message_type, OK, ShepherdNode
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.rosbag2.metadata import TopicInfo
@@ -26,45 +24,11 @@ from shepherd_ros.rosbag2.qos import Qos
 from shepherd_ros.rosbag2.reader import BagMessage, open_bag
 from shepherd_ros.wire.encode import encode_clock
 from std_srvs.srv import SetBool
-import tyro
 
 CLOCK = '/clock'
 SECOND = 1_000_000_000  # [ns]
 ACK_TIME = 4.0  # [s] for readers to miss what did not arrive: DDS asks them every 3 s
 LATCHED_LEAD = 0.2  # [s] that readers get to know the topics before the first message
-
-
-@dataclass(frozen=True)
-class PlayerOptions:
-    """Play a bag back on its topics."""
-
-    bag: tyro.conf.Positional[Path]
-    """Folder of a bag, or one .mcap file."""
-    rate: Annotated[float, tyro.conf.arg(aliases=['-r'])] = 1.0
-    """Pace; 2 is twice as fast."""
-    topics: tuple[str, ...] = ()
-    """Topics to play, all by default."""
-    start_offset: float = 0.0
-    """Begin so many seconds after the first message; what is latched is played all the same."""
-    until: float = 0.0
-    """End so many seconds after the first message; 0: at the end."""
-    loop: Annotated[bool, tyro.conf.arg(aliases=['-l'])] = False
-    """Begin anew at the end."""
-    clock: float = 0.0
-    """Publish /clock at this rate [Hz of wall time], if it is not among what is played."""
-    wait: float = 0.0
-    """Wait until every topic has a reader, at most so many seconds."""
-    start_paused: Annotated[bool, tyro.conf.arg(aliases=['-p'])] = False
-    """Begin paused."""
-
-    def check(self) -> None:
-        """Raise ConfigError for numbers that make no sense."""
-        if not 0 < self.rate < math.inf:
-            raise ConfigError(f'--rate is {self.rate}: expected a number above 0, such as 1.0')
-        for name in ('start_offset', 'until', 'clock', 'wait'):
-            if not 0 <= getattr(self, name) < math.inf:
-                value = getattr(self, name)
-                raise ConfigError(f'--{name.replace("_", "-")} is {value}: expected 0 or more')
 
 
 class Player(ShepherdNode):

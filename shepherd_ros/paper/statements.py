@@ -126,8 +126,8 @@ STATEMENTS: dict[str, dict[str, tuple[Clause, ...]]] = {
         ),
         'The time of Pierson is constant': (flat('largest time over that at 0', P),),
         (
-            'Pierson has the longest shepherd paths, at high noise twice those of RL and five times '
-            'those of Strömbom'
+            'Pierson has the longest shepherd paths, at high noise twice those of RL and five '
+            'times those of Strömbom'
         ): (
             above('shepherd path, Pierson over the longer of the others', PATH, P, RL, S),
             about('shepherd path at 2 m, Pierson over RL', ratio_at(P, RL, PATH, 2.0), 2.0),
