@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -19,9 +19,9 @@ from shepherd_ros.ros.parameters import declare
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.sim import compiled
 from shepherd_ros.sim.limits import MAX_SEED
+from shepherd_ros.sim.rollout import advance, EnvConfig, start
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
-from shepherd_ros.sim.transition import step
 from shepherd_ros.wire.episode import Episode, MODES
 import torch
 from torch import Tensor
@@ -75,7 +75,6 @@ class FlockSim(ShepherdNode):
         self.next_seed = self.seed
         self.dt_ns = round(self.world.dt * 1e9)
         self.now_ns = 0
-        self.moved: WorldState | None = None  # the state before, for the shepherds' headings
         self.pending_goal: Tensor | None = None
         self.sent = 0.0
         self.steps_made = 0
@@ -95,6 +94,11 @@ class FlockSim(ShepherdNode):
         """Return the wall time of a step in realtime [s]."""
         return 1 / self.rate if self.rate > 0 else self.world.dt
 
+    @property
+    def state(self) -> WorldState:
+        """Return the true state."""
+        return self.moment.state
+
     # ---- the course of an episode ----
 
     def begin_episode(self, seed: int | None = None) -> Episode:
@@ -102,14 +106,11 @@ class FlockSim(ShepherdNode):
         seed = self.next_seed if seed is None else seed
         self.next_seed, self.number = seed + 1, self.number + 1
         self.now_ns += self.dt_ns
-        self.state = spawn(self.world, torch.tensor(seed))
-        team = int(self.state.team_size)
-        present = {
-            f.name: getattr(self.state, f.name)[:team]
-            for f in fields(self.state)
-            if f.name in ('shepherds', 'shepherd_mask')
-        }
-        self.state = self.moved = replace(self.state, **present)
+        state = spawn(self.world, torch.tensor(seed))
+        team = int(state.team_size)
+        present = {name: getattr(state, name)[:team] for name in ('shepherds', 'shepherd_mask')}
+        config = EnvConfig(world=self.world)
+        self.moment = start(replace(state, **present), config, count=False)
         self.episode = Episode(
             number=self.number,
             seed=seed,
@@ -138,8 +139,7 @@ class FlockSim(ShepherdNode):
             else:
                 self.begin_episode()
             return
-        self.moved = self.state
-        self.state = step(self.state, command, self.world)
+        self.moment = advance(self.moment, command)
         self.now_ns += self.dt_ns
         self.steps_made += 1
         if self.pending_goal is not None:
@@ -197,12 +197,12 @@ class FlockSim(ShepherdNode):
         if not again:
             self.gate.expect(self.now_ns, self.dt_ns)
         self.sent = self.wall()
-        self.output.state(self.now_ns, self.state, self.moved or self.state)
+        self.output.state(self.now_ns, self.state, self.moment.before)
 
     def set_goal(self, goal: Tensor) -> None:
         """Move the goal now, (2,) m."""
         self.pending_goal = None
-        self.state = replace(self.state, goal=goal)
+        self.moment = replace(self.moment, state=replace(self.state, goal=goal))
         self.output.goal(self.now_ns, self.state)
 
     def move_goal(self, x: float, y: float) -> None:

@@ -163,7 +163,7 @@ def test_nodes_that_join_a_paused_world_late_get_its_state(graph: Graph) -> None
     )
     assert track.stamps == [sim.now_ns]
     assert int(sim.state.step) == step
-    assert int(metrics.before.step) == step
+    assert int(metrics.moment.state.step) == step
     graph.until_status('metrics: metrics', 'steps of this episode were missed')
     graph.end(idle)
 
@@ -175,7 +175,7 @@ def test_nodes_that_join_a_running_world_late_follow_from_there(graph: Graph) ->
     metrics = graph.host('metrics')
     graph.until(lambda: metrics.listener.states > 5, 'states for who joined late')
     assert metrics.listener.episode == sim.episode
-    assert int(metrics.before.step) > 5
+    assert int(metrics.moment.state.step) > 5
 
 
 def test_a_world_goes_on_after_its_nodes_were_told_of_another_episode(graph: Graph) -> None:
