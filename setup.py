@@ -1,6 +1,7 @@
 """Package shepherd_ros: installs with pip and with colcon alike."""
 
 from pathlib import Path
+import re
 import xml.etree.ElementTree as ET
 
 from setuptools import find_packages, setup
@@ -8,6 +9,15 @@ from setuptools import find_packages, setup
 NAME = 'shepherd_ros'
 HERE = Path(__file__).parent
 MANIFEST = ET.parse(HERE / 'package.xml').getroot()
+
+
+def heuristics() -> list[str]:
+    """Return the executables of controllers, read from their files: importing them takes torch."""
+    files = sorted((HERE / NAME / 'controllers').glob('*.py'))
+    text = '\n'.join(path.read_text(encoding='utf-8') for path in files)
+    return re.findall(r"^    executable = '(\w+)'$", text, re.MULTILINE)
+
+
 NODES = {
     'flock_sim': 'flock_node:main',
     'lidar': 'lidar_node:main',
@@ -15,12 +25,9 @@ NODES = {
     'herd': 'herd_node:main',
     'player': 'player_node:main',
     'recorder': 'recorder_node:main',
-    'strombom': 'heuristic_node:strombom',
-    'pierson': 'heuristic_node:pierson',
-    'drover': 'heuristic_node:drover',
+    'controller': 'heuristic_node:main',
+    **{name: f'heuristic_node:{name}' for name in heuristics()},
     'policy': 'policy_node:main',
-    'idle': 'heuristic_node:idle',
-    'random': 'heuristic_node:random',
 }
 
 

@@ -9,7 +9,7 @@ from launch.action import Action
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown, TimerAction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from shepherd_ros.bringup import commanded, REPLAY_ARGUMENTS, replay_values
+from shepherd_ros.bringup import commanded, controller_process, REPLAY_ARGUMENTS, replay_values
 from shepherd_ros.resources import share_file
 from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.wire.topics import renamed_topics
@@ -29,14 +29,16 @@ def nodes(context: LaunchContext) -> list[Action]:
     )
     actions: list[Action] = [TimerAction(period=values.delay, actions=[player])]
     if values.controller:
-        whole_team = commanded(values.controller, values.n_shepherds)
+        process = controller_process(
+            values.controller, commanded(values.controller, values.n_shepherds)
+        )
         actions.append(
             Node(
                 package='shepherd_ros',
-                executable=values.controller,
-                name=values.controller,
+                executable=process.executable,
+                name=process.name,
                 namespace=values.namespace,
-                parameters=[part for part in (whole_team, values.params_file) if part],
+                parameters=[part for part in (process.parameters, values.params_file) if part],
                 output='screen',
             )
         )

@@ -39,8 +39,17 @@ def herding_stack(
         Process('flock_sim', 'flock_sim', {'n_shepherds': n_shepherds, **flock_sim}),
         *lidars,
         Process('metrics', 'metrics'),
-        Process(controller, controller, commanded(controller, n_shepherds, flock_sim)),
+        controller_process(controller, commanded(controller, n_shepherds, flock_sim)),
     ]
+
+
+def controller_process(name: str, parameters: Mapping[str, Any]) -> Process:
+    """Return the process of a controller, or raise ConfigError."""
+    from shepherd_ros.controllers import CONTROLLERS  # with torch, which takes a second
+
+    executable = CONTROLLERS[name].executable
+    which = {} if executable == name else {'controller': name}
+    return Process(executable, name, {**which, **parameters})
 
 
 def commanded(
@@ -63,10 +72,10 @@ def commanded(
 
 # name -> default and description; empty means that the node's own default holds
 LAUNCH_ARGUMENTS: dict[str, tuple[str, str]] = {
-    'controller': ('strombom', 'strombom, pierson, drover, policy, idle or random'),
+    'controller': ('strombom', 'a controller by its name; a wrong one shows all of them'),
     'n_sheep': ('100', 'sheep in the flock'),
     'n_shepherds': ('3', 'shepherds, each with its lidar'),
-    'flock': ('strombom', 'flock model: strombom or reynolds'),
+    'flock': ('strombom', 'flock model by its name; a wrong one shows all of them'),
     'preset': ('default', 'named setting of time step and flock'),
     'mode': ('lockstep', 'lockstep or realtime'),
     'rate': ('0.0', 'realtime: steps per second of wall time; 0: 1/dt'),

@@ -37,6 +37,12 @@ class Named(Protocol):
 E = TypeVar('E', bound=Named)
 
 
+class UnknownEntryError(ConfigError, KeyError):
+    """A name that a registry does not have."""
+
+    __str__ = Exception.__str__  # that of KeyError has quotes
+
+
 class Registry(Mapping[str, E], Generic[E]):
     """
     Entries by name, in the order in which they were added.
@@ -58,11 +64,15 @@ class Registry(Mapping[str, E], Generic[E]):
             )
         return entry
 
+    def remove(self, name: str) -> None:
+        """Remove an entry that was added."""
+        del self._entries[name]
+
     def __getitem__(self, name: str) -> E:
         """Return the entry of a name, or raise ConfigError."""
         load_plugins()
         if name not in self._entries:
-            raise unknown_name(self.kind, name, sorted(self._entries))
+            raise UnknownEntryError(unknown_name(self.kind, name, sorted(self._entries)))
         return self._entries[name]
 
     def __contains__(self, name: object) -> bool:

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 import shepherd_ros
+from shepherd_ros.controllers import CONTROLLERS
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -277,7 +278,8 @@ def test_entry_points_resolve(distribution: Any) -> None:
     pytest.importorskip('rclpy')
     scripts = distribution.entry_points['console_scripts']
     targets = dict(line.split(' = ') for line in scripts)
-    assert {'shepherd', 'flock_sim', 'lidar', 'metrics', 'strombom', 'pierson'} <= set(targets)
+    assert {'shepherd', 'flock_sim', 'lidar', 'metrics', 'controller'} <= set(targets)
+    assert {kind.executable for kind in CONTROLLERS.values()} <= set(targets)
     for name, target in targets.items():
         assert callable(EntryPoint(name, target, 'console_scripts').load()), name
 

@@ -13,6 +13,7 @@ import venv
 import xml.etree.ElementTree as ET
 
 import pytest
+from shepherd_ros.controllers import CONTROLLERS
 
 rclpy = pytest.importorskip('rclpy')
 pytestmark = [
@@ -23,9 +24,7 @@ pytestmark = [
 ]
 
 ROOT = Path(__file__).resolve().parents[1]
-NODES = {
-    'flock_sim', 'lidar', 'metrics', 'strombom', 'pierson', 'drover', 'idle', 'random', 'policy',
-}  # fmt: skip
+NODES = {'flock_sim', 'lidar', 'metrics', *(kind.executable for kind in CONTROLLERS.values())}
 MARKER = 'share/ament_index/resource_index/packages/shepherd_ros'
 FILES = ('package.xml', 'config/shepherd.rviz', 'launch/simulate.launch.py')
 FILES += ('msg_schemas/topics.yaml', 'msg_schemas/geometry_msgs/PoseArray.msg')

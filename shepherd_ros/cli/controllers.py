@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
+from shepherd_ros.bringup import controller_process, Process
 from shepherd_ros.cli.errors import UserError
 from shepherd_ros.config import Config, mapping, unknown_name
 import yaml
@@ -39,20 +40,27 @@ class Chosen:
 
     def config(self) -> Config:
         """Return the options of the law; raises ConfigError."""
-        from shepherd_ros.controllers import controller_type
+        from shepherd_ros.controllers import CONTROLLERS
 
-        kind = controller_type(self.name).config_type
+        kind = CONTROLLERS[self.name].config_type
         known = [f.name for f in fields(kind)]
         for name in self.parameters:
             if name not in (*known, 'noise_std', *OF_NODES):
                 raise unknown_name(f'parameter of {self.name}', name, [*known, 'noise_std'])
         return kind(**{k: v for k, v in self.parameters.items() if k in known})
 
+    def process(self, parameters: Mapping[str, Any]) -> Process:
+        """Return its process, with parameters that its own win over."""
+        given = {**parameters, **self.parameters}
+        if self.of_core:
+            return controller_process(self.name, given)
+        return Process(self.name, self.name, given)
+
     def make(self, world: WorldConfig) -> Controller:
         """Return the controller for a world; raises ConfigError."""
-        from shepherd_ros.controllers import controller_type
+        from shepherd_ros.controllers import CONTROLLERS
 
-        return controller_type(self.name)(self.config(), world)
+        return CONTROLLERS[self.name](self.config(), world)
 
 
 def chosen(name: str, words: Sequence[str], params_file: Path | None) -> Chosen:

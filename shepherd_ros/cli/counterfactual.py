@@ -33,7 +33,7 @@ class Counterfactual:
     out: Annotated[Path, tyro.conf.arg(aliases=['-o'])]
     """Folder of the new bag, futures.png, futures.gif and metrics.md."""
     controller: str = 'strombom'
-    """Controller that drives on: strombom, pierson, drover, policy, idle, random."""
+    """Controller that drives on; a wrong name shows all of them."""
     params: Annotated[tuple[str, ...], tyro.conf.arg(aliases=['-p'])] = ()
     """Parameters of the controller, such as noise_std:=0.5."""
     params_file: Path | None = None

@@ -27,13 +27,13 @@ class Demo:
     """Herd a flock over ROS 2 topics with separate processes; draw what happened."""
 
     controller: str = 'policy'
-    """Executable that commands the shepherds: policy, strombom, pierson, drover, idle, random."""
+    """Controller that commands the shepherds; a wrong name shows all of them."""
     sheep: int = 100
     """Sheep in the flock."""
     shepherds: int = 3
     """Shepherds, each with a lidar process of its own."""
     flock: str = 'strombom'
-    """Flock model: strombom or reynolds."""
+    """Flock model; a wrong name shows all of them."""
     preset: str = 'default'
     """Named setting of time step and flock."""
     seed: int = 0
@@ -65,10 +65,10 @@ class Demo:
 
     def _check(self) -> None:
         """Refuse what no process could do, before any is started."""
-        from shepherd_ros.controllers import controller_type, make_controller
+        from shepherd_ros.controllers import CONTROLLERS, make_controller
         from shepherd_ros.sim.presets import world_preset
 
-        controller_type(self.controller)
+        CONTROLLERS[self.controller]
         world = world_preset(self.preset, self.flock)
         if self.controller == 'policy':  # it may have been trained with another time step
             make_controller(self.controller, world, checkpoint=world.flock.checkpoint)

@@ -9,7 +9,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, TYPE_CHECKING
 
-from shepherd_ros.bringup import Process
 from shepherd_ros.cli.controllers import Chosen, chosen
 from shepherd_ros.cli.errors import UserError
 from shepherd_ros.cli.processes import is_executable, isolate, running
@@ -35,7 +34,7 @@ class Replay:
     bag: tyro.conf.Positional[Path]
     """Folder of a bag, or one .mcap file."""
     controller: str = 'strombom'
-    """Controller to ask: strombom, pierson, idle, random, or an executable of your own."""
+    """Controller to ask, a wrong name shows all of them; or an executable of your own."""
     params: Annotated[tuple[str, ...], tyro.conf.arg(aliases=['-p'])] = ()
     """Parameters of the controller with which it was recorded, such as noise_std:=0.5."""
     params_file: Path | None = None
@@ -131,7 +130,7 @@ class Replay:
             for episode, frames, group in self._episodes(result):
                 if not processes.started:
                     own = {'frame_id': episode.frame_id, 'shepherd_ids': self._team()}
-                    processes.start([Process(asked.name, asked.name, own | asked.parameters)])
+                    processes.start([asked.process(own)])
                 questioner.begin(episode)
                 for frame in frames:
                     wanted = set(self.shepherds or range(episode.n_shepherds)) - silent

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from shepherd_ros.config import Config
+from shepherd_ros.registry import Registry
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import wrap
 from shepherd_ros.sim.world import WorldConfig
@@ -24,6 +25,10 @@ class Controller:
 
     name: ClassVar[str]
     config_type: ClassVar[type[Config]]
+    executable: ClassVar[str] = 'controller'  # of its node; this one runs any of them by name
+    label: ClassVar[str] = ''  # in tables and figures; empty: its name
+    order: ClassVar[int] = 50  # in tables and figures: policies 0, baselines, these, floors 90
+    style: ClassVar[tuple[str, Any, str] | None] = None  # colour, line, marker; None: a free one
 
     def __init__(self, config: Any, world: WorldConfig) -> None:
         """Keep the configuration, and that of the world to herd in."""
@@ -37,6 +42,9 @@ class Controller:
     def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return commands (..., H, 2) m/s, world frame, at most the top speed; and memory."""
         raise NotImplementedError
+
+
+CONTROLLERS: Registry[type[Controller]] = Registry('controller')
 
 
 def places_on_arc(around: Tensor, spacing: Tensor, mask: Tensor) -> Tensor:

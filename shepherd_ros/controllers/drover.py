@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from shepherd_ros.config import Config, ConfigError, option
-from shepherd_ros.controllers.base import Controller, Memory
+from shepherd_ros.controllers.base import Controller, CONTROLLERS, Memory
 from shepherd_ros.controllers.formation import (
     bearings_in_order,
     middle_of_ring,
@@ -111,11 +111,16 @@ def share_inside(seen: WorldState) -> Tensor:
     return inside.sum(dim=-1, keepdim=True) / seen.sheep_mask.sum(dim=-1, keepdim=True)
 
 
+@CONTROLLERS.add
 class DroverController(Controller):
     """Drives until all sheep are inside, then lets go until some are outside again."""
 
     name = 'drover'
     config_type = DroverConfig
+    executable = 'drover'
+    label = 'drover (ours)'
+    order = 12
+    style = ('#9A6FB0', '-.', 'D')
 
     def __init__(self, *args: Any, **options: Any) -> None:
         """Choose how to drive the flock of the world."""
@@ -217,6 +222,3 @@ class DroverController(Controller):
             pace=torch.full_like(away, self.world.shepherd_speed),
             even=torch.zeros_like(away, dtype=torch.bool),
         )
-
-
-CONTROLLER = DroverController

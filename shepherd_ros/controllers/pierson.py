@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import math
 
 from shepherd_ros.config import Config, ConfigError, option
-from shepherd_ros.controllers.base import Controller, Memory, places_on_arc
+from shepherd_ros.controllers.base import Controller, CONTROLLERS, Memory, places_on_arc
 from shepherd_ros.controllers.pierson_compiled import pierson_act
 from shepherd_ros.sim.compiled import usable
 from shepherd_ros.sim.metrics import flock_spread
@@ -80,11 +80,16 @@ def opening_for(share: Tensor, team: Tensor) -> Tensor:
     return low + width / 2
 
 
+@CONTROLLERS.add
 class PiersonController(Controller):
     """Drives from an arc around the flock; remembers the heading of the flock."""
 
     name = 'pierson'
     config_type = PiersonConfig
+    executable = 'pierson'
+    label = 'Pierson'
+    order = 11
+    style = ('#0072B2', ':', '^')
 
     def begin(self, seen: WorldState) -> Memory:
         """Return the first heading: from the flock to the goal."""
@@ -133,6 +138,3 @@ class PiersonController(Controller):
         target = center[..., None, :] + radius[..., None, None] * from_bearing(place)
         velocity = clip_norm(gain * (target - seen.shepherds), world.shepherd_speed)
         return velocity * seen.shepherd_mask[..., None], {'heading': heading}
-
-
-CONTROLLER = PiersonController

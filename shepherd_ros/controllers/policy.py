@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from shepherd_ros.config import Config, ConfigError, option
-from shepherd_ros.controllers.base import Controller, Memory
+from shepherd_ros.controllers.base import Controller, CONTROLLERS, Memory
 from shepherd_ros.policy import inference
 from shepherd_ros.policy.checkpoint import load_policy
 from shepherd_ros.policy.policy import Policy
@@ -25,11 +25,14 @@ class LearnedConfig(Config):
     sample: bool = option(False, 'draw actions from the policy; false: its mean')
 
 
+@CONTROLLERS.add
 class LearnedController(Controller):
     """Runs a policy for all shepherds; remembers what each has seen and its last command."""
 
     name = 'policy'
     config_type = LearnedConfig
+    executable = 'policy'
+    order = 0
 
     def __init__(
         self,
@@ -82,6 +85,3 @@ def require_same_world(policy: Policy, world: WorldConfig) -> None:
             f'dt is {world.dt} s: expected {policy.config.dt} s, with which the policy was '
             'trained; choose another preset, or a checkpoint that was trained with yours'
         )
-
-
-CONTROLLER = LearnedController

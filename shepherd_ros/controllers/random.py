@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from shepherd_ros.config import Config, option
-from shepherd_ros.controllers.base import Controller, Memory
+from shepherd_ros.controllers.base import Controller, CONTROLLERS, Memory
 from shepherd_ros.sim.rng import direction, Stream
 from shepherd_ros.sim.state import WorldState
 import torch
@@ -19,11 +19,15 @@ class RandomConfig(Config):
     hold_steps: int = option(8, 'steps for which a random direction is kept', low=1)
 
 
+@CONTROLLERS.add
 class RandomController(Controller):
     """Commands top speed in a random direction, a new one every hold_steps."""
 
     name = 'random'
     config_type = RandomConfig
+    executable = 'random'
+    order = 91
+    style = ('#B5BCC1', (0, (5, 4)), '+')
 
     def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return random velocities, (..., H, 2) m/s."""
@@ -31,6 +35,3 @@ class RandomController(Controller):
         drawn = torch.div(seen.step, self.config.hold_steps, rounding_mode='floor')
         way = direction(seen.seed, drawn, Stream.CONTROL, index, seen.shepherds.dtype)
         return way * self.world.shepherd_speed, memory
-
-
-CONTROLLER = RandomController

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import math
 
 from shepherd_ros.config import Config, option
-from shepherd_ros.controllers.base import Controller, Memory, places_on_arc
+from shepherd_ros.controllers.base import Controller, CONTROLLERS, Memory, places_on_arc
 from shepherd_ros.controllers.strombom_compiled import strombom_act
 from shepherd_ros.sim.compiled import usable
 from shepherd_ros.sim.rng import direction, Stream
@@ -51,11 +51,16 @@ class StrombomConfig(Config):
     )
 
 
+@CONTROLLERS.add
 class StrombomController(Controller):
     """Collects the farthest sheep while the flock is scattered, else drives it."""
 
     name = 'strombom'
     config_type = StrombomConfig
+    executable = 'strombom'
+    label = 'Strömbom'
+    order = 10
+    style = ('#D55E00', '--', 's')
 
     @property
     def interaction_range(self) -> float:
@@ -152,6 +157,3 @@ class StrombomController(Controller):
         ).masked_fill(~seen.sheep_mask[..., None, :], torch.inf)
         speed = speed.masked_fill(apart.amin(dim=-1) < config.stop_range * r, 0.0)
         return speed[..., None] * way
-
-
-CONTROLLER = StrombomController

@@ -9,7 +9,7 @@ import hashlib
 from typing import Any
 
 from shepherd_ros.config import ConfigError
-from shepherd_ros.controllers import controller_type, make_controller
+from shepherd_ros.controllers import CONTROLLERS, make_controller
 from shepherd_ros.controllers.base import Controller
 from shepherd_ros.controllers.policy import LearnedConfig, LearnedController
 from shepherd_ros.experiments.setting import env_config, Setting
@@ -21,14 +21,12 @@ from shepherd_ros.sim.state import WorldState
 from torch import Tensor
 
 POLICY = LearnedController.name
-LABELS = {'strombom': 'Strömbom', 'pierson': 'Pierson', 'drover': 'drover (ours)'}
 
 
 def full_name(name: str) -> str:
     """Return the name with its checkpoint: policy is policy:imitation; or raise ConfigError."""
     kind, colon, checkpoint = name.partition(':')
-    controller_type(kind)
-    if kind != POLICY:
+    if CONTROLLERS[kind].name != POLICY:
         if colon:
             raise ConfigError(f'controller is {name!r}: expected a checkpoint only after policy:')
         return kind
@@ -45,13 +43,18 @@ def checkpoint_of(name: str) -> str:
 def label(name: str) -> str:
     """Return how pictures and pages name a method; ours are marked."""
     checkpoint = checkpoint_of(name)
-    return f'policy {checkpoint} (ours)' if checkpoint else LABELS.get(name, name)
+    return f'policy {checkpoint} (ours)' if checkpoint else kind_of(name).label or name
+
+
+def kind_of(name: str) -> type[Controller]:
+    """Return the class of a method; the base, with its defaults, if no controller has its name."""
+    kind = name.partition(':')[0]
+    return CONTROLLERS.get(kind, Controller)
 
 
 def in_order(names: list[str]) -> list[str]:
     """Return methods as pictures show them: policies, the paper's baselines, the others."""
-    order = ['strombom', 'pierson', 'drover', 'idle', 'random']
-    return sorted(names, key=lambda n: (order.index(n) if n in order else -1, n))
+    return sorted(names, key=lambda n: (kind_of(n).order, n))
 
 
 def checkpoint_hash(name: str) -> str:

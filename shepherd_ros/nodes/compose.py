@@ -20,7 +20,8 @@ NODES: dict[str, Callable[..., ShepherdNode]] = {
     'flock_sim': FlockSim,
     'lidar': LidarNode,
     'metrics': MetricsNode,
-    **{name: partial(HeuristicNode, name) for name in CONTROLLERS},
+    **{kind.executable: partial(HeuristicNode, name) for name, kind in CONTROLLERS.items()},
+    'controller': HeuristicNode,
     'policy': PolicyNode,
 }
 

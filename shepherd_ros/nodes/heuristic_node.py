@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from shepherd_ros.controllers import controller_type
+from shepherd_ros.controllers import CONTROLLERS
 from shepherd_ros.controllers.base import Controller, Memory
 from shepherd_ros.ros.intra_process import Output
 from shepherd_ros.ros.node import OK, ShepherdNode, WARN
@@ -22,16 +24,21 @@ from shepherd_ros.wire.episode import Episode
 import torch
 
 ALL = -1
+GENERIC = Controller.executable
 
 
 class HeuristicNode(ShepherdNode):
     """Answers every state with a command for each of its shepherds, all of them by default."""
 
-    def __init__(self, controller: str, **kwargs: Any) -> None:
-        """Create the node of the controller with that name."""
+    def __init__(self, controller: str = '', **kwargs: Any) -> None:
+        """Create the node of the controller with that name, of a parameter if it is empty."""
         compiled.start()
-        super().__init__(controller, **kwargs)
-        self.kind = controller_type(controller)
+        super().__init__(controller or GENERIC, **kwargs)
+        if not controller:
+            names = tuple(sorted(CONTROLLERS.keys() - {'policy'}))  # which has its own node
+            doc = 'law of the commands: ' + ', '.join(names)
+            controller = self.option('controller', 'strombom', doc, choices=names)
+        self.kind = CONTROLLERS[controller]
         presets = tuple(sorted(PRESETS))
         doc = 'defaults of the options: ' + ', '.join(presets)
         preset = self.option('preset', 'default', doc, choices=presets)
@@ -101,26 +108,14 @@ class HeuristicNode(ShepherdNode):
         ]
 
 
-def strombom() -> int:
-    """Run the Strömbom controller."""
-    return run(lambda: HeuristicNode('strombom'), 'strombom', strombom.__doc__ or '')
+def main(name: str = '') -> int:
+    """Run the controller that the parameter of that name names, such as one of a plug-in."""
+    doc = CONTROLLERS[name].__doc__ if name else main.__doc__
+    return run(lambda: HeuristicNode(name), name or GENERIC, doc or '')
 
 
-def pierson() -> int:
-    """Run the Pierson controller."""
-    return run(lambda: HeuristicNode('pierson'), 'pierson', pierson.__doc__ or '')
-
-
-def drover() -> int:
-    """Run the drover, which lets go of the flock when it is home."""
-    return run(lambda: HeuristicNode('drover'), 'drover', drover.__doc__ or '')
-
-
-def idle() -> int:
-    """Run the controller that stands still, a floor to compare with."""
-    return run(lambda: HeuristicNode('idle'), 'idle', idle.__doc__ or '')
-
-
-def random() -> int:
-    """Run the controller that wanders at random, a floor to compare with."""
-    return run(lambda: HeuristicNode('random'), 'random', random.__doc__ or '')
+def __getattr__(name: str) -> Callable[[], int]:
+    """Return the main function of a controller's own executable, such as strombom."""
+    if name.startswith('_') or name not in CONTROLLERS:
+        raise AttributeError(name)
+    return partial(main, name)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 import numpy as np
 from shepherd_ros.experiments.bootstrap import mean_interval
-from shepherd_ros.experiments.methods import label
+from shepherd_ros.experiments.methods import kind_of, label
 from shepherd_ros.experiments.samples import Samples
 from shepherd_ros.experiments.value_map import SIDE, ValueMap
 from shepherd_ros.paper.curves import Curve, smoothed
@@ -28,23 +28,17 @@ AXES = {
     'flock': 'flock',
     'case': '',
 }
-# colour, line and marker of a method: apart in grey, too
-BLACK, STYLES = '#000000', {
-    'strombom': ('#D55E00', '--', 's'),
-    'pierson': ('#0072B2', ':', '^'),
-    'drover': ('#9A6FB0', '-.', 'D'),
-    'idle': ('#8A949B', (0, (1, 3)), 'x'),
-    'random': ('#B5BCC1', (0, (5, 4)), '+'),
-}  # fmt: skip
-POLICIES = [
-    ((BLACK, '#555555')[k % 2], ('-', '--', ':')[k % 3], marker)
+# colour, line and marker of policies and others without a style of their own: apart in grey, too
+FREE = [
+    (('#000000', '#555555')[k % 2], ('-', '--', ':')[k % 3], marker)
     for k, marker in enumerate('ovP*<h>pX')
 ]
 
 
-def style_of(name: str, policies: Sequence[str]) -> dict[str, Any]:
-    """Return how a method is drawn; policies are those of the picture."""
-    color, line, marker = STYLES.get(name) or POLICIES[policies.index(name) % len(POLICIES)]
+def style_of(name: str, names: Sequence[str]) -> dict[str, Any]:
+    """Return how a method is drawn; names are those of the picture, in its order."""
+    free = [other for other in names if kind_of(other).style is None]
+    color, line, marker = kind_of(name).style or FREE[free.index(name) % len(FREE)]
     return {
         'color': color,
         'linestyle': line,
@@ -106,7 +100,7 @@ def draw_lines(samples: Samples) -> Figure:
         for name in samples.controllers:
             mean, low, high = mean_interval(samples.values[name, metric][order])
             bars = np.nan_to_num(np.stack([mean - low, high - mean]))
-            look = style_of(name, samples.policies)
+            look = style_of(name, samples.controllers)
             axes.errorbar(x[order], mean, yerr=np.maximum(bars, 0), label=label(name), **look)
         _limit(axes, metric)
         tidy(axes, AXES[experiment.axes[0]], METRICS[metric].title, f'({"abcdef"[k]})')
@@ -126,7 +120,7 @@ def draw_cases(samples: Samples) -> Figure:
             mean, low, high = mean_interval(samples.values[name, metric])
             bars = np.maximum(np.nan_to_num(np.stack([mean - low, high - mean])), 0)
             place = np.arange(len(cases)) + 0.6 * ((j + 0.5) / len(names) - 0.5)
-            look = style_of(name, samples.policies) | {'linestyle': 'none'}
+            look = style_of(name, samples.controllers) | {'linestyle': 'none'}
             axes.errorbar(mean, place, xerr=bars, label=label(name), **look)
         axes.set_yticks(range(len(cases)), cases if k == 0 else [''] * len(cases))
         axes.set_ylim(len(cases) - 0.5, -0.5)
@@ -178,7 +172,7 @@ def draw_curves(curves: Sequence[Curve]) -> Figure:
     figure, panels = new_figure(1, 1, 6.0, 3.2)
     axes = panels[0, 0]
     policies = dict.fromkeys(curve.policy for curve in curves)
-    looks = dict(zip(policies, POLICIES * len(policies), strict=False))
+    looks = dict(zip(policies, FREE * len(policies), strict=False))
     named: set[str] = set()
     for curve in curves:
         color, line, marker = looks[curve.policy]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from shepherd_ros.config import unknown_name
 from shepherd_ros.paper.preset_search import findings, Known, worth
 from shepherd_ros.paper.report import bounds, number
 from shepherd_ros.sim.presets import PRESETS
@@ -21,14 +20,13 @@ def preset_scores(
 
     tell hears which preset is run, as each takes minutes.
     """
-    for name in names:
-        if name not in PRESETS:
-            raise unknown_name('preset', name, sorted(PRESETS))
     known: Known = {}
     found = {}
-    for k, name in enumerate(names, start=1):
-        tell(f'preset {name}, {k} of {len(names)}: {episodes} episodes a cell, some minutes')
-        found[name] = findings(PRESETS[name], episodes, steps, known)
+    for k, preset in enumerate([PRESETS[name] for name in names], start=1):
+        tell(
+            f'preset {preset.name}, {k} of {len(names)}: {episodes} episodes a cell, some minutes'
+        )
+        found[preset.name] = findings(preset, episodes, steps, known)
     head = ['the paper states', 'number', 'agrees if', *(f'`{name}`' for name in found)]
     lines = [head, ['---', '---', '--:', *('--:' for _ in found)]]
     for key, first in found[names[0]].items():

@@ -97,7 +97,7 @@ def preset_of(candidate: Candidate) -> Preset:
         if path != 'dt':
             kind, name, option = path.split('.')
             parts[kind].setdefault(name, {})[option] = value
-    return Preset('under trial', candidate['dt'], **parts)
+    return Preset(NAME, 'under trial', candidate['dt'], **parts)
 
 
 def short(name: str) -> Experiment:
@@ -118,7 +118,7 @@ def findings(
 
     Cells that known holds are not run again; those that are run are put there.
     """
-    PRESETS[NAME] = preset
+    PRESETS.add(replace(preset, name=NAME))
     known = {} if known is None else known
     try:
         experiments = {name: short(name) for name in POINTS}
@@ -142,7 +142,7 @@ def findings(
                     found[f'{claim.experiment}: {claim.statement}: {clause.text}'] = finding
         return found
     finally:
-        del PRESETS[NAME]
+        PRESETS.remove(NAME)
 
 
 def worth(verdicts: Iterable[str]) -> float:

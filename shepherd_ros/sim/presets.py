@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from shepherd_ros.config import unknown_name
+from shepherd_ros.registry import Registry
 from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.world import WorldConfig
 
@@ -23,6 +23,7 @@ class Preset:
     controllers are options of the heuristics by name.
     """
 
+    name: str
     doc: str
     dt: float
     flock: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -33,29 +34,36 @@ def _strombom(**changes: Any) -> dict[str, dict[str, Any]]:
     return {'strombom': changes}
 
 
-PRESETS: dict[str, Preset] = {
-    'default': Preset('0.5 s, r_a 1 m: learning works and a robot can be driven', 0.5),
-    'one_second': Preset('1 s, r_a 1 m: the original model, shrunk by three, has 1 s', 1.0),
-    'scaled_third': Preset(
-        '1 s, r_a 2/3 m: the original 2 m / 3', 1.0, _strombom(sheep_range=2 / 3)
+PRESETS: Registry[Preset] = Registry('preset')
+for preset in (
+    Preset('default', '0.5 s, r_a 1 m: learning works and a robot can be driven', 0.5),
+    Preset('one_second', '1 s, r_a 1 m: the original model, shrunk by three, has 1 s', 1.0),
+    Preset(
+        'scaled_third', '1 s, r_a 2/3 m: the original 2 m / 3', 1.0, _strombom(sheep_range=2 / 3)
     ),
-    'strombom_ra': Preset("1 s, r_a 2 m: Strömbom's own range", 1.0, _strombom(sheep_range=2.0)),
-    'rho_a_one': Preset(
-        '0.5 s, rho_a 1: the base value in section 5', 0.5, _strombom(sheep_repulsion=1.0)
+    Preset('strombom_ra', "1 s, r_a 2 m: Strömbom's own range", 1.0, _strombom(sheep_range=2.0)),
+    Preset(
+        'rho_a_one',
+        '0.5 s, rho_a 1: the base value in section 5',
+        0.5,
+        _strombom(sheep_repulsion=1.0),
     ),
-    'fine_dt': Preset('0.1 s, r_a 1 m: for smooth robots', 0.1),
-    'table_literal': Preset(
+    Preset('fine_dt', '0.1 s, r_a 1 m: for smooth robots', 0.1),
+    Preset(
+        'table_literal',
         '1 s, r_a 10 m as printed: the flock expands and never fits the goal',
         1.0,
         _strombom(sheep_range=10.0),
     ),
-    'metric_attraction': Preset(
+    Preset(
+        'metric_attraction',
         '0.5 s, r_a 10 m with attraction in metres: keeps every number of Table 1',
         0.5,
         _strombom(sheep_range=10.0, metric_attraction=True),
     ),
     # the best of a search over what the paper leaves open: docs/results/presets.md
-    'paper': Preset(
+    Preset(
+        'paper',
         '0.5 s, r_a 1 m: agrees with most that the paper says of the heuristics',
         0.5,
         {
@@ -78,13 +86,12 @@ PRESETS: dict[str, Preset] = {
             },
         },
     ),
-}
+):
+    PRESETS.add(preset)
 
 
 def world_preset(name: str = 'default', flock: str = 'strombom') -> WorldConfig:
     """Return the world of a preset with a flock model, or raise ConfigError."""
-    if name not in PRESETS:
-        raise unknown_name('preset', name, sorted(PRESETS))
     preset = PRESETS[name]
     config = FLOCK_MODELS[flock].config(**preset.flock.get(flock, {}))
     return WorldConfig(dt=preset.dt, flock=config)

@@ -7,7 +7,7 @@ import math
 
 import pytest
 from reference import assert_near, batch, make_state, padded
-from shepherd_ros.controllers import controller_type, CONTROLLERS, make_controller
+from shepherd_ros.controllers import CONTROLLERS, make_controller
 from shepherd_ros.controllers.base import Controller, places_on_arc
 from shepherd_ros.sim.rng import direction, Stream
 from shepherd_ros.sim.state import WorldState
@@ -81,7 +81,7 @@ def test_a_random_shepherd_does_not_look() -> None:
 def test_a_controller_answers_the_same_state_with_the_same_commands(name: str) -> None:
     controller = make_controller(name, WorldConfig())
     assert isinstance(controller, Controller)
-    assert controller_type(name).name == name
+    assert CONTROLLERS[name].name == name
     state = make_state(4, 20, 3)
     memory = controller.begin(state)
     kept = {key: value.clone() for key, value in memory.items()}

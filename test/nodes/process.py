@@ -51,9 +51,7 @@ from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor
 
-EXECUTABLES = (
-    'flock_sim', 'lidar', 'metrics', 'strombom', 'pierson', 'drover', 'idle', 'random', 'policy',
-)  # fmt: skip
+EXECUTABLES = tuple(NODES)
 BIN = Path(sys.executable).parent
 DEADLINE = 25.0  # [s] for anything that should happen soon, on a busy machine
 DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG

@@ -140,7 +140,7 @@ def test_a_signal_ends_a_node_whose_partner_is_stopped(graph: Graph) -> None:
 def test_a_node_that_dds_does_not_let_go_is_left_with_its_exit_code() -> None:
     code = (
         'import time\n'
-        'from shepherd_ros.nodes import runtime\n'
+        'from shepherd_ros.ros import runtime\n'
         'class Stuck:\n'
         '    def destroy_node(self): time.sleep(60)\n'
         'runtime.LET_GO = 0.1\n'

@@ -35,7 +35,7 @@ OTHER = {path: values[-1] for path, values in CHOICES.items()}
 
 def test_the_first_candidate_is_the_default_preset(monkeypatch: pytest.MonkeyPatch) -> None:
     assert next(proposals(0, [])) == DEFAULT
-    monkeypatch.setitem(PRESETS, NAME, preset_of(DEFAULT))
+    monkeypatch.setitem(PRESETS._entries, NAME, preset_of(DEFAULT))
     for flock in ('strombom', 'reynolds'):
         assert world_preset(NAME, flock) == world_preset('default', flock)
         for name in ('strombom', 'pierson'):
@@ -44,7 +44,7 @@ def test_the_first_candidate_is_the_default_preset(monkeypatch: pytest.MonkeyPat
 
 
 def test_every_choice_arrives_where_it_belongs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(PRESETS, NAME, preset_of(OTHER))
+    monkeypatch.setitem(PRESETS._entries, NAME, preset_of(OTHER))
     for path, value in OTHER.items():
         kind, _, rest = path.partition('.')
         name, _, option = rest.partition('.')
@@ -58,7 +58,7 @@ def test_every_choice_arrives_where_it_belongs(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_the_points_are_those_of_the_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(PRESETS, NAME, preset_of(DEFAULT))
+    monkeypatch.setitem(PRESETS._entries, NAME, preset_of(DEFAULT))
     for name, (field, values) in POINTS.items():
         if field:
             assert {getattr(s, field) for s in short(name).settings} == set(values), name

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from shepherd_ros.config import checked, Config, ConfigError, unknown_name
-from shepherd_ros.controllers import controller_type, CONTROLLERS, make_controller
+from shepherd_ros.controllers import CONTROLLERS, make_controller
 from shepherd_ros.controllers.pierson import PiersonConfig
 from shepherd_ros.controllers.strombom import StrombomConfig
 from shepherd_ros.sim.env import ShepherdEnv
@@ -330,7 +330,7 @@ def test_unknown_presets_flocks_and_controllers_are_refused_with_the_nearest_nam
     for make, bad, near in (
         (world_preset, 'fine_td', 'fine_dt'),
         (lambda name: world_preset('default', name), 'stromboom', 'strombom'),
-        (controller_type, 'peirson', 'pierson'),
+        (CONTROLLERS.__getitem__, 'peirson', 'pierson'),
         (lambda name: make_controller(name, WorldConfig()), 'idel', 'idle'),
     ):
         with pytest.raises(ConfigError, match=rf"'{bad}'.*did you mean '{near}'\?"):
