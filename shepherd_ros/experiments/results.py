@@ -55,7 +55,7 @@ def key_of(config: Mapping[str, Any], checkpoint: str, version: str) -> str:
     """
     options = dict(mapping('controller', config.get('controller')))
     name = str(options.pop('name', ''))
-    kind = controller_type(name.partition(':')[0]).config_type
+    kind = CONTROLLERS[name.partition(':')[0]].config_type
     decided = {
         'env': EnvConfig.from_dict(mapping('env', config.get('env'))).changes(),
         'controller': {'name': name, **kind.from_dict(options).changes()},
