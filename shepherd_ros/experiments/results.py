@@ -15,6 +15,7 @@ import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
 from pyarrow import parquet
 from shepherd_ros.config import ConfigError, mapping
+from shepherd_ros.controllers import CONTROLLERS
 from shepherd_ros.experiments.setting import FIELDS, Setting
 from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.metrics import METRICS
