@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
 from pyarrow import parquet
-from shepherd_ros.datasets.lerobot_writer import (
+from shepherd_ros.datasets.lerobot_format import (
     ABOUT,
     ACTION,
     CHUNK_SIZE,

@@ -128,13 +128,7 @@ class McapFile:
 
     def add_channel(self, topic: str, encoding: str, schema: int, values: dict[str, str]) -> int:
         """Write a channel; return its number."""
-        channel = Channel(
-            id=len(self.channels) + 1,
-            topic=topic,
-            message_encoding=encoding,
-            metadata=values,
-            schema_id=schema,
-        )
+        channel = Channel(len(self.channels) + 1, topic, encoding, values, schema)
         self._append(packed(channel))
         self.channels.append(channel)
         return channel.id

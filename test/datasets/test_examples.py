@@ -26,8 +26,9 @@ from shepherd_ros.datasets.examples import (
     stream_examples,
     stream_steps,
 )
+from shepherd_ros.datasets.lerobot_format import DATA, EPISODES
 from shepherd_ros.datasets.lerobot_reader import open_dataset
-from shepherd_ros.datasets.lerobot_writer import DATA, DatasetWriter, EPISODES, runs
+from shepherd_ros.datasets.lerobot_writer import DatasetWriter, runs
 from shepherd_ros.datasets.report import Report
 from shepherd_ros.datasets.running_stats import Spread
 from shepherd_ros.datasets.steps import Steps, steps_of
