@@ -56,13 +56,7 @@ class Counterfactual:
         asked = chosen(self.controller, self.params, self.params_file)
         asked.config()  # refuses what cannot be, before the bag is read
         recorded = one_episode(self.bag, self.namespace, self.episode)
-        stamps = [frame.stamp_ns * 1e-9 for frame in recorded.frames]
-        if not stamps[0] <= self.at <= stamps[-1]:
-            raise UserError(
-                f'--at is {self.at}: expected a stamp of the episode, {stamps[0]:g} to '
-                f'{stamps[-1]:g} s'
-            )
-        at = max(k for k, stamp in enumerate(stamps) if stamp <= self.at + 1e-9)
+        at = self._step(stamps := [frame.stamp_ns * 1e-9 for frame in recorded.frames])
         controller = asked.make(WorldConfig.from_dict(recorded.world))
         made_folder('--out', self.out)
         folder = self.out / 'bag'
@@ -96,3 +90,12 @@ class Counterfactual:
         for file in ('bag', 'futures.png', 'futures.gif', 'metrics.md'):
             print(f'wrote {self.out / file}')
         return 0
+
+    def _step(self, stamps: list[float]) -> int:
+        """Return which of the stamps [s] to go on from, or raise UserError."""
+        if not stamps[0] <= self.at <= stamps[-1]:
+            raise UserError(
+                f'--at is {self.at}: expected a stamp of the episode, {stamps[0]:g} to '
+                f'{stamps[-1]:g} s'
+            )
+        return max(k for k, stamp in enumerate(stamps) if stamp <= self.at + 1e-9)

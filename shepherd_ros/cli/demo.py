@@ -99,14 +99,9 @@ class Demo:
             episodes=1,
             wait_for_scans=True,
         )
-        progress = Progress(
-            TextColumn('step {task.completed:.0f}/{task.total:.0f}'),
-            BarColumn(),
-            TextColumn('{task.description}'),
-            TimeElapsedColumn(),
-            console=console,
-        )
-        with progress:
+        steps = TextColumn('step {task.completed:.0f}/{task.total:.0f}')
+        columns = steps, BarColumn(), TextColumn('{task.description}'), TimeElapsedColumn()
+        with Progress(*columns, console=console) as progress:
             task = progress.add_task('starting processes', total=self.steps)
             processes.start(stack[:-1])
             self._until(lambda: witness.hears_all, processes, witness, hear)

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TYPE_CHECKING
 
 from shepherd_ros.cli.errors import UserError
 import tyro
+
+if TYPE_CHECKING:
+    from shepherd_ros.experiments.results import Rows
+    from shepherd_ros.experiments.samples import Samples
 
 
 @dataclass
@@ -35,10 +39,8 @@ class Figures:
 
     def run(self) -> int:
         """Draw all; return the exit code."""
-        from shepherd_ros.experiments.catalog import EXPERIMENTS, OF_THE_PAPER
         from shepherd_ros.experiments.methods import checkpoint_of, full_name, loaded
         from shepherd_ros.experiments.results import read_rows
-        from shepherd_ros.experiments.samples import Samples, samples_of
         from shepherd_ros.experiments.value_map import value_map
         from shepherd_ros.paper.curves import find_curves
         from shepherd_ros.paper.figures import draw, draw_curves, draw_values, save
@@ -49,16 +51,7 @@ class Figures:
         if not self.rows:
             raise UserError('figures needs rows: expected files or folders of shepherd evaluate')
         rows, curves = read_rows(self.rows), find_curves(self.curves)
-        samples: dict[str, Samples] = {}
-        for experiment in EXPERIMENTS.values():
-            beyond = experiment.name not in OF_THE_PAPER
-            chosen = experiment.with_preset(self.preset)
-            found = samples_of(rows, chosen, least=2, whole=beyond)
-            if found is not None:
-                samples[experiment.name] = found
-                print(*found.notes, sep='\n', end='\n' if found.notes else '')
-        if not samples:
-            raise UserError('the rows are of no experiment: expected those of shepherd evaluate')
+        samples = self._samples(rows)
         known = [name for name in rows.distinct('controller') if name.startswith('policy:')]
         named = [full_name(f'policy:{checkpoint}') for checkpoint in self.checkpoints]
         critics = [name for name in dict.fromkeys(named or known) if has_critic(name)]
@@ -71,25 +64,45 @@ class Figures:
         for name, figure in pictures.items():
             print(*save(figure, self.out, name))
         if self.report:
-            from shepherd_ros.experiments.table import CSV_HEADER, csv_rows, grids
-            from shepherd_ros.paper.report import page
-            from shepherd_ros.paper.verdicts import (
-                judge_curves,
-                judge_samples,
-                judge_values,
-            )
+            from shepherd_ros.paper.verdicts import judge_curves, judge_samples, judge_values
 
             judgements = [
                 *judge_curves(curves),
                 *(j for found in samples.values() for j in judge_samples(found)),
                 *judge_values(critics),
             ]
-            reasons = 'reasons.md' if (self.out / 'reasons.md').exists() else ''
-            text = page(judgements, samples, list(pictures), rows, self.command, reasons)
-            (self.out / 'README.md').write_text(text, encoding='utf-8')
-            lines = CSV_HEADER + ''.join(csv_rows(found) for found in samples.values())
-            (self.out / 'summary.csv').write_text(lines, encoding='utf-8')
-            if 'table' in samples:
-                (self.out / 'table.md').write_text(grids(samples['table']), encoding='utf-8')
-            print(self.out / 'README.md')
+            self._report(judgements, samples, list(pictures), rows)
         return 0
+
+    def _samples(self, rows: Rows) -> dict[str, Samples]:
+        """Return what the rows have of each experiment; UserError if nothing."""
+        from shepherd_ros.experiments.catalog import EXPERIMENTS, OF_THE_PAPER
+        from shepherd_ros.experiments.samples import samples_of
+
+        samples: dict[str, Samples] = {}
+        for experiment in EXPERIMENTS.values():
+            beyond = experiment.name not in OF_THE_PAPER
+            chosen = experiment.with_preset(self.preset)
+            found = samples_of(rows, chosen, least=2, whole=beyond)
+            if found is not None:
+                samples[experiment.name] = found
+                print(*found.notes, sep='\n', end='\n' if found.notes else '')
+        if not samples:
+            raise UserError('the rows are of no experiment: expected those of shepherd evaluate')
+        return samples
+
+    def _report(
+        self, judgements: list[Any], samples: dict[str, Samples], pictures: list[str], rows: Rows
+    ) -> None:
+        """Write README.md, summary.csv and table.md."""
+        from shepherd_ros.experiments.table import CSV_HEADER, csv_rows, grids
+        from shepherd_ros.paper.report import page
+
+        reasons = 'reasons.md' if (self.out / 'reasons.md').exists() else ''
+        text = page(judgements, samples, pictures, rows, self.command, reasons)
+        (self.out / 'README.md').write_text(text, encoding='utf-8')
+        lines = CSV_HEADER + ''.join(csv_rows(found) for found in samples.values())
+        (self.out / 'summary.csv').write_text(lines, encoding='utf-8')
+        if 'table' in samples:
+            (self.out / 'table.md').write_text(grids(samples['table']), encoding='utf-8')
+        print(self.out / 'README.md')

@@ -22,7 +22,8 @@ from rosbag2.tiny import (
     write,
 )
 from shepherd_ros.config import ConfigError
-from shepherd_ros.recordings.check import check_bag, CheckResult
+from shepherd_ros.recordings.check import check_bag
+from shepherd_ros.recordings.findings import CheckResult
 from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.rosbag2.writer import BagWriter, LOST_KEY
 from shepherd_ros.wire.contract import contract_hash, topic_hashes

@@ -1,0 +1,71 @@
+"""Findings of a check of a bag, and its result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+MOST = 1000  # findings that are kept
+
+
+@dataclass(frozen=True)
+class Finding:
+    """
+    Something that is not as it should be.
+
+    kind is one of gap, order, count, type, schema, contract, metadata, stray, absent, damage,
+    lost.
+    """
+
+    kind: str
+    what: str
+    episode: int | None = None
+    step: int | None = None
+    stamp_ns: int | None = None
+    topic: str = ''
+
+    def __str__(self) -> str:
+        """Return the finding as a sentence that begins with its place."""
+        place = [
+            f'{name} {value}'
+            for name, value in (('episode', self.episode), ('step', self.step))
+            if value is not None
+        ]
+        if self.stamp_ns is not None:
+            place.append(f'stamp {self.stamp_ns / 1e9:.9f}')
+        if self.topic:
+            place.append(self.topic)
+        return f'{self.kind}: {", ".join(place)}{": " if place else ""}{self.what}'
+
+
+@dataclass
+class CheckResult:
+    """What was found in a bag."""
+
+    findings: list[Finding] = field(default_factory=list)  # the first MOST
+    absent: list[str] = field(default_factory=list)  # parts that were not recorded at all
+    unfinished: list[int] = field(default_factory=list)  # numbers of episodes that end early
+    notes: list[str] = field(default_factory=list)
+    episodes: int = 0
+    steps: int = 0  # states with poses of both kinds
+
+    @property
+    def ok(self) -> bool:
+        """Return whether nothing is wrong."""
+        return not self.findings
+
+    def add(self, *findings: Finding) -> None:
+        """Keep findings, as long as there are not too many."""
+        self.findings += findings[: MOST - len(self.findings)]
+
+    def text(self, most: int = 10) -> str:
+        """Return the result in lines for a terminal."""
+        lines = [f'{self.episodes} episodes, {self.steps} states']
+        if self.absent:
+            lines.append(f'not recorded: {", ".join(self.absent)}')
+        if self.unfinished:
+            lines.append(f'unfinished episodes: {", ".join(map(str, self.unfinished))}')
+        lines += self.notes
+        lines += [str(finding) for finding in self.findings[:most]]
+        if len(self.findings) > most:
+            lines.append(f'and {len(self.findings) - most} more')
+        return '\n'.join([*lines, 'ok' if self.ok else 'not ok'])
