@@ -27,8 +27,8 @@ def arguments_of(default: Config, hidden: tuple[str, ...] = ()) -> type[Any]:
             kind = Literal[choices]
         if 'doc' in f.metadata:
             rows.append((f.name, Annotated[kind, tyro.conf.arg(help=f.metadata['doc'])], value))
-    for name, (value, doc) in default.added().items():
-        rows.append((name, Annotated[type(value), tyro.conf.arg(help=doc)], value))
+    for name, (value, metadata) in default.added().items():
+        rows.append((name, Annotated[type(value), tyro.conf.arg(help=metadata['doc'])], value))
     return make_dataclass(type(default).__name__, rows, namespace={'__doc__': default.__doc__})
 
 

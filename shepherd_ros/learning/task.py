@@ -4,23 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 import random
+from typing import ClassVar
 
-from shepherd_ros.config import Config, ConfigError, option, part
+from shepherd_ros.config import ConfigError, Extended, option, part
 from shepherd_ros.sim.flocking import BOTH, FLOCK_MODELS
 from shepherd_ros.sim.presets import home_world, training_world, world_preset
 from shepherd_ros.sim.reward import RewardConfig
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
+from shepherd_ros.sim.world_parameters import WORLD_PARAMETERS
 
 
 @dataclass(frozen=True)
-class TaskConfig(Config):
+class TaskConfig(Extended):
     """
     What each episode is drawn from and what it pays; the defaults are the paper's training.
 
-    Everything is drawn evenly, but for sheep on a logarithmic scale.
+    Everything is drawn evenly, but for sheep on a logarithmic scale. Parameters of the world that
+    plug-ins add are the same in all episodes.
     """
 
+    registry: ClassVar = WORLD_PARAMETERS
     preset: str = option('default', 'named setting of time step and flock')
     flock: str = option(
         'strombom',
@@ -102,4 +106,5 @@ def base_world(task: TaskConfig, flock: str) -> WorldConfig:
         n_shepherds=task.shepherds_max,
         goal_radius=task.goal_radius_min,
         spawn=spawn,
+        others=task.others,
     )

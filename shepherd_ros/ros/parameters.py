@@ -77,6 +77,11 @@ def declare_config(
     for f in fields(config):
         if 'doc' in f.metadata and f.name not in skip:
             values[f.name] = declare(node, prefix + f.name, values[f.name], f.metadata, read_only)
+    if added := config.added():
+        values['others'] = tuple(
+            (name, declare(node, prefix + name, value, metadata, read_only))
+            for name, (value, metadata) in added.items()
+        )
     return type(config)(**values)
 
 

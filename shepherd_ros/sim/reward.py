@@ -7,68 +7,31 @@ where its weight is given, as an option of its name in RewardConfig.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import ClassVar
 
-from shepherd_ros.config import checked, Config, option, unknown_name
+from shepherd_ros.config import Extended, option
 from shepherd_ros.registry import Registry
 from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor
 
+REWARD_TERMS: Registry[RewardTerm] = Registry('reward term')
+
 
 @dataclass(frozen=True)
-class RewardConfig(Config):
+class RewardConfig(Extended):
     """Weights of the reward's terms."""
 
+    registry: ClassVar = REWARD_TERMS
     occupancy: float = option(10.0, 'lambda_o [-]: weight of the sheep in the goal')
     shaping: float = option(-0.1, 'lambda_s [1/m]: weight of the distance of those outside')
     one_per_step: bool = option(
         False,
         'add the one of "one plus the distance" once per step (choice: once per sheep outside)',
     )
-    others: tuple[tuple[str, float], ...] = ()  # names and weights, not 0, of terms of plug-ins
-
-    def __post_init__(self) -> None:
-        """Check every weight."""
-        super().__post_init__()
-        weights = []
-        for name, value in sorted(self.others):
-            if name not in self.added():
-                raise unknown_name('RewardConfig field', name, [*super().to_dict(), *self.added()])
-            term = REWARD_TERMS[name]
-            weight = checked(name, value, 0.0, {'low': term.low, 'high': term.high})
-            weights += [(name, weight)] if weight else []
-        object.__setattr__(self, 'others', tuple(weights))
-
-    def added(self) -> dict[str, tuple[float, str]]:
-        """Return weight and meaning of each term of a plug-in."""
-        own, weights = super().to_dict(), dict(self.others)
-        return {
-            name: (weights.get(name, 0.0), term.meaning)
-            for name, term in REWARD_TERMS.items()
-            if name not in own
-        }
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data; of plug-ins only the weights that are not 0."""
-        data = super().to_dict()
-        return data | dict(data.pop('others'))
-
-    def changes(self) -> dict[str, Any]:
-        """Return plain data of what differs from the defaults."""
-        found = super().changes()
-        return found | dict(found.pop('others', ()))
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> RewardConfig:
-        """Return the configuration that to_dict() gave, or raise ConfigError."""
-        own = set(cls().to_dict())
-        others = tuple((name, value) for name, value in data.items() if name not in own)
-        known = {name: value for name, value in data.items() if name in own}
-        return cls(**known, others=others)
 
 
 @dataclass(frozen=True)
@@ -104,9 +67,7 @@ class RewardTerm:
     value: Callable[[Step, float], Tensor]
     low: float | None = None  # of the weight
     high: float | None = None
-
-
-REWARD_TERMS: Registry[RewardTerm] = Registry('reward term')
+    default: ClassVar[float] = 0.0
 
 
 def distance_to_rim(state: WorldState) -> Tensor:

@@ -10,6 +10,7 @@ from shepherd_ros.sim.flocking import model_of
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import clip_norm
 from shepherd_ros.sim.world import WorldConfig
+from shepherd_ros.sim.world_parameters import WORLD_PARAMETERS
 import torch
 from torch import Tensor
 
@@ -39,9 +40,22 @@ def step(state: WorldState, command: Tensor, config: WorldConfig) -> WorldState:
     moved = replace(state, shepherds=move(state, command, config))
     sheep, heading = model_of(config.flock).step(moved, config.flock, config.dt)
     present = state.sheep_mask[..., None]
-    return replace(
+    after = replace(
         moved,
         step=state.step + 1,
         sheep=torch.where(present, sheep, state.sheep),
         heading=torch.where(present, heading, state.heading),
+    )
+    return further(state, after, config) if config.others else after
+
+
+def further(before: WorldState, after: WorldState, config: WorldConfig) -> WorldState:
+    """Return the state after a step with what the parameters of plug-ins do to it."""
+    for name, value in config.others:
+        after = WORLD_PARAMETERS[name].apply(before, after, value, config.dt)
+    sheep, shepherds = before.sheep_mask[..., None], before.shepherd_mask[..., None]
+    return replace(
+        after,
+        sheep=torch.where(sheep, after.sheep, before.sheep),
+        shepherds=torch.where(shepherds, after.shepherds, before.shepherds),
     )

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
-from shepherd_ros.config import Config, ConfigError, mapping, option, part
+from shepherd_ros.config import Config, ConfigError, Extended, mapping, option, part
 from shepherd_ros.sim.flocking import FLOCK_MODELS, model_of
 from shepherd_ros.sim.flocking.base import FlockConfig
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.limits import MAX_DT, MAX_SHEEP, MAX_SHEPHERDS, MAX_STEPS, MIN_DT
+from shepherd_ros.sim.world_parameters import WORLD_PARAMETERS
 
 
 @dataclass(frozen=True)
@@ -49,9 +50,10 @@ class SpawnConfig(Config):
 
 
 @dataclass(frozen=True)
-class WorldConfig(Config):
+class WorldConfig(Extended):
     """Everything that decides how a world starts and moves, apart from its seed."""
 
+    registry: ClassVar = WORLD_PARAMETERS
     n_sheep: int = option(100, 'sheep in the flock, N', low=1, high=MAX_SHEEP)
     n_shepherds: int = option(3, 'shepherds, M', low=1, high=MAX_SHEPHERDS)
     dt: float = option(

@@ -88,7 +88,7 @@ def config_schema(config: type[Config], **extra: Any) -> dict[str, Any]:
     for f in fields(config):
         if 'doc' in f.metadata:
             properties[f.name] = _option_schema(f.default, f.metadata)
-    names = [f.name for f in fields(config)]
+    names = [f.name for f in fields(config) if f.metadata]
     order = [name for name in extra if name not in names] + names
     return {
         'description': (config.__doc__ or '').strip(),
