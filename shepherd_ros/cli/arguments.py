@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import field, fields, make_dataclass
+from functools import reduce
+import operator
 from typing import Annotated, Any, Literal, TypeVar
 
 from shepherd_ros.config import choices_of, Config
@@ -44,3 +46,13 @@ def plain(arguments: Any) -> dict[str, Any]:
 def configured(kind: type[C], arguments: Any) -> C:
     """Return the configuration that arguments ask for, or raise ConfigError."""
     return kind.from_dict(plain(arguments))
+
+
+def verb_group(doc: str, **verbs: type[Any]) -> type[Any]:
+    """Return a verb that runs the one of its own verbs that is named."""
+    choices: list[Any] = [
+        Annotated[verb, tyro.conf.subcommand(name)] for name, verb in verbs.items()
+    ]
+    rows = [('verb', Annotated[reduce(operator.or_, choices), tyro.conf.arg(name='')])]
+    run = {'__doc__': doc, 'run': lambda group: group.verb.run()}
+    return make_dataclass('Verbs', rows, namespace=run)

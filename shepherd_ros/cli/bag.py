@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, TYPE_CHECKING
 
+from shepherd_ros.cli.arguments import verb_group
 from shepherd_ros.cli.errors import UserError
 import tyro
 
@@ -195,22 +196,12 @@ class Render:
         return 0
 
 
-Verb = (
-    Annotated[Info, tyro.conf.subcommand('info')]
-    | Annotated[Check, tyro.conf.subcommand('check')]
-    | Annotated[Recover, tyro.conf.subcommand('recover')]
-    | Annotated[Export, tyro.conf.subcommand('export')]
-    | Annotated[Diff, tyro.conf.subcommand('diff')]
-    | Annotated[Render, tyro.conf.subcommand('render')]
+BagVerbs = verb_group(
+    'Look at bags, check, recover, export and compare them.',
+    info=Info,
+    check=Check,
+    recover=Recover,
+    export=Export,
+    diff=Diff,
+    render=Render,
 )
-
-
-@dataclass
-class BagVerbs:
-    """Look at bags, check, recover, export and compare them."""
-
-    verb: Annotated[Verb, tyro.conf.arg(name='')]
-
-    def run(self) -> int:
-        """Run the verb."""
-        return self.verb.run()

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from typing import Annotated
 
+from shepherd_ros.cli.arguments import verb_group
 from shepherd_ros.cli.errors import UserError
 import tyro
 
@@ -115,20 +116,10 @@ class Export:
         return 0
 
 
-Verb = (
-    Annotated[Info, tyro.conf.subcommand('info')]
-    | Annotated[Card, tyro.conf.subcommand('card')]
-    | Annotated[RandomWeights, tyro.conf.subcommand('random')]
-    | Annotated[Export, tyro.conf.subcommand('export')]
+CheckpointVerbs = verb_group(
+    'Look at checkpoints, make random ones, export the network.',
+    info=Info,
+    card=Card,
+    random=RandomWeights,
+    export=Export,
 )
-
-
-@dataclass
-class CheckpointVerbs:
-    """Look at checkpoints, make random ones, export the network."""
-
-    verb: Annotated[Verb, tyro.conf.arg(name='')]
-
-    def run(self) -> int:
-        """Run the verb."""
-        return self.verb.run()

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
+from shepherd_ros.cli.arguments import verb_group
 from shepherd_ros.cli.errors import UserError
 import tyro
 
@@ -71,17 +72,8 @@ class Build(Common):
         return 0
 
 
-Verb = (
-    Annotated[Info, tyro.conf.subcommand('info')] | Annotated[Build, tyro.conf.subcommand('build')]
+DatasetVerbs = verb_group(
+    'Look at what can be learned from bags, and export it.',
+    info=Info,
+    build=Build,
 )
-
-
-@dataclass
-class DatasetVerbs:
-    """Look at what can be learned from bags, and export it."""
-
-    verb: Annotated[Verb, tyro.conf.arg(name='')]
-
-    def run(self) -> int:
-        """Run the verb."""
-        return self.verb.run()
