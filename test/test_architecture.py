@@ -104,7 +104,7 @@ def test_laws_of_the_world_use_neither_files_nor_clock_nor_random_state(path: Pa
             used = f'{node.value.id}.{node.attr}'
             assert not re.match(
                 r'(torch|np)\.(rand|manual_seed|seed|Generator|save|load|from_file)', used
-            ), f'line {node.lineno}: {used}; random numbers come from sim.noise'
+            ), f'line {node.lineno}: {used}; random numbers come from sim.rng'
 
 
 def test_commands_import_nodes_only_inside_functions() -> None:

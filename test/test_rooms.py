@@ -44,6 +44,8 @@ def test_rooms_import_only_what_they_may() -> None:
         ('sim/transition.py', 'import shepherd_ros.sim.env', 'circles'),
         ('view/track.py', 'import torch', 'without-torch'),
         ('view/track.py', 'from shepherd_ros.sim.state import WorldState', 'without-torch'),
+        ('wire/decode.py', 'import shepherd_ros.sim.state', 'without-torch'),
+        ('rosbag2/reader.py', 'import torch', 'without-torch'),
         ('recordings/info.py', 'import rclpy', 'ros'),
         ('sim/world.py', 'from geometry_msgs.msg import Point', 'ros'),
         ('nodes/policy_node.py', 'import shepherd_ros.rosbag2.reader', 'bags'),

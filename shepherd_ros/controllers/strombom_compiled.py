@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 from shepherd_ros.sim.compiled import compiled, flat
-from shepherd_ros.sim.noise_compiled import direction_at, key_of
 from shepherd_ros.sim.rng import Stream
+from shepherd_ros.sim.rng_compiled import direction_at, key_of
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors_compiled import bearing, length, mean, take_places, unit, wrap
 import torch

@@ -1,1 +1,1 @@
-"""Steps and examples of recordings, and LeRobot data sets."""
+"""Data for learning from recordings: whole steps, examples, data sets in the form of LeRobot."""

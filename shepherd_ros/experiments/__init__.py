@@ -1,1 +1,1 @@
-"""Experiments: settings, cells, results."""
+"""Experiments on many episodes: settings, cells, campaigns, rows of results, tables."""

@@ -1,1 +1,1 @@
-"""Environments in the terms of other libraries."""
+"""The environment in the terms of Gymnasium, PettingZoo and Stable-Baselines3."""

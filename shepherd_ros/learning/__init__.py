@@ -1,1 +1,1 @@
-"""Learning to herd: from the simulator by PPO, from bags and from a teacher by imitation."""
+"""Training of policies: PPO in the simulator, cloning from bags, DAgger with a teacher."""

@@ -1,1 +1,1 @@
-"""The nodes: they decode messages, call the core and encode what it answers."""
+"""The ROS nodes, a file for each executable: decode messages, call the core, encode its answer."""

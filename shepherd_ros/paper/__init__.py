@@ -1,1 +1,1 @@
-"""The paper: statements, quantities, verdicts, figures."""
+"""The paper's statements, the quantities and verdicts on them, its figures and its presets."""

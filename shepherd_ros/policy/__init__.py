@@ -1,1 +1,1 @@
-"""The learned controller's network and its checkpoints, for the trainer and the node alike."""
+"""The network of a learned shepherd, its checkpoints, and its use within an episode."""

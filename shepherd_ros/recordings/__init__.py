@@ -1,1 +1,1 @@
-"""The content of bags: episodes, checks, exports, replay."""
+"""The content of bags: episodes, checks, exports, recording and replay without ROS."""

@@ -1,1 +1,1 @@
-"""Plumbing between nodes and rclpy."""
+"""What nodes share of ROS: base class, parameters, executors, transport, subscribers."""

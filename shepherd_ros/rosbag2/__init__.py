@@ -1,1 +1,1 @@
-"""Files of rosbag2: MCAP records, readers, writers, recovery."""
+"""The files of bags as rosbag2 has them: records of MCAP, readers, writers, recovery."""

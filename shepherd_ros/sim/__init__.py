@@ -1,1 +1,1 @@
-"""The world and its laws, in torch, batch first; nothing here knows of ROS or of files."""
+"""The world and its laws, in torch, batch first; start with rollout.py."""

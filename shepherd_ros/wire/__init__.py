@@ -1,1 +1,1 @@
-"""The wire: topics, the episode description, encoding and decoding of messages."""
+"""What nodes and bags say to each other: topics, the episode, encoding and decoding, schemas."""

@@ -17,8 +17,8 @@ from shepherd_ros.sim.neighbors_compiled import (
     squares,
     squares_of,
 )
-from shepherd_ros.sim.noise_compiled import direction_at, key_of, uniform_at
 from shepherd_ros.sim.rng import Stream
+from shepherd_ros.sim.rng_compiled import direction_at, key_of, uniform_at
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import EPSILON
 from shepherd_ros.sim.vectors_compiled import length, unit

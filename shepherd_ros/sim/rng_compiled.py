@@ -1,4 +1,4 @@
-"""The counter-based random numbers of sim.noise, one at a time."""
+"""The counter-based random numbers of sim.rng, one at a time."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
