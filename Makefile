@@ -12,7 +12,7 @@ SEED ?= 0
 STEPS ?= 1000
 OUT ?= out/demo
 
-.PHONY: demo test setup lint train paper table bench bench-learning clean browser
+.PHONY: demo test setup generate lint train paper table bench bench-learning clean browser
 .DEFAULT_GOAL := demo
 
 demo: setup
@@ -38,6 +38,9 @@ browser:  # Chromium, in which the tests look at pages
 	    { echo 'make browser: apt-get cannot install Chromium here; put chromium and' \
 	      'chromedriver on PATH' >&2; exit 1; }; \
 	fi
+
+generate: setup  # every committed file that follows from code: schemas, parameters, cards, a table
+	$(BIN)/python scripts/generate.py
 
 lint: setup
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/lint-imports --no-cache && \

@@ -7,7 +7,7 @@ import shlex
 
 import pytest
 from shepherd_ros.controllers import CONTROLLERS
-from shepherd_ros.wire.topics import contract, topic_table
+from shepherd_ros.wire.topics import contract
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / 'README.md').read_text(encoding='utf-8')
@@ -15,10 +15,6 @@ BLOCKS = re.findall(r'```(\w+)\n(.*?)```', README, re.DOTALL)
 COMMANDS = [
     line for kind, block in BLOCKS if kind == 'bash' for line in block.splitlines() if line
 ]
-
-
-def test_the_topic_table_is_the_contract() -> None:
-    assert topic_table() in README
 
 
 def test_every_path_named_exists() -> None:

@@ -10,7 +10,6 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
-from shepherd_ros.policy.card import card
 from shepherd_ros.policy.checkpoint import (
     checkpoint_file,
     load_policy,
@@ -126,13 +125,9 @@ def test_what_a_terminal_or_a_reader_cannot_bear_is_not_shown(
     assert len(capsys.readouterr().err) < 1000
 
 
-def test_the_cards_are_those_of_the_checkpoints() -> None:
-    cards = Path(__file__).parents[2] / 'docs' / 'checkpoints'
-    assert sorted(path.stem for path in cards.glob('*.md')) == sorted(shipped_checkpoints())
+def test_shipped_checkpoints_say_how_they_were_made() -> None:
     for name in shipped_checkpoints():
         record = read_metadata(checkpoint_file(name))[1]
-        expected = card(name, load_policy(name), record)
-        assert (cards / f'{name}.md').read_text() == expected, 'run scripts/write_cards.py'
         for key in ('command', 'seed', 'wall_time_s', 'code'):
             assert key in record
 

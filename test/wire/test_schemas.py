@@ -58,18 +58,6 @@ def episode(preset='default', flock='strombom'):
 # ---- texts of messages ----
 
 
-@INSTALLED
-def test_stored_files_are_those_that_the_script_would_write():
-    spec = importlib.util.spec_from_file_location('script', ROOT / 'scripts/write_schemas.py')
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
-    fresh = script.fresh()
-    for name, content in fresh.items():
-        assert (FOLDER / name).read_text(encoding='utf-8') == content, f'run {spec.origin}'
-    stored = {str(path.relative_to(FOLDER)) for path in FOLDER.glob('*/*')}
-    assert stored == {name for name in fresh if name.endswith('.msg')}
-
-
 def test_every_type_of_the_contract_has_a_text():
     for kind in wire_types():
         assert schema_text(kind).strip(), kind
