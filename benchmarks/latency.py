@@ -20,7 +20,7 @@ from shepherd_ros.bringup import herding_stack
 from shepherd_ros.cli.processes import isolate, running
 from shepherd_ros.policy.checkpoint import load_policy
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
-from shepherd_ros.sim.lidar import CHANNELS
+from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 import torch
 
 
@@ -63,7 +63,7 @@ def stack(shepherds: int, rate: float, seconds: float) -> list[float]:
     node = rclpy.create_node('probe')
     for h in range(shepherds):
         for topic, kind, table in (
-            *((f'shepherd_{h}/scan/{channel}', LaserScan, sent) for channel in CHANNELS),
+            *((f'shepherd_{h}/scan/{channel}', LaserScan, sent) for channel in PAPER_CHANNELS),
             (f'shepherd_{h}/cmd_vel', TwistStamped, answered),
         ):
             node.create_subscription(

@@ -22,14 +22,15 @@ def option(
     low: float | None = None,
     high: float | None = None,
     choices: Iterable[str] | Callable[[], Iterable[str]] = (),
+    sparse: bool = False,
 ) -> Any:
     """
     Return a dataclass field with a default, a sentence and the closed range it may lie in.
 
     choices are called when they are needed if they can be: the names of a registry are not known
-    while modules are imported.
+    while modules are imported. A sparse option is in to_dict() only where it is not the default.
     """
-    metadata = {'doc': doc, 'low': low, 'high': high, 'choices': choices}
+    metadata = {'doc': doc, 'low': low, 'high': high, 'choices': choices, 'sparse': sparse}
     return field(default=default, metadata=metadata)
 
 
@@ -112,6 +113,7 @@ class Config:
             f.name: value.to_dict() if isinstance(value, Config) else value
             for f in fields(self)
             for value in [getattr(self, f.name)]
+            if not (f.metadata.get('sparse') and value == f.default)
         }
 
     def changes(self) -> dict[str, Any]:

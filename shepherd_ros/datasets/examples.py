@@ -35,7 +35,7 @@ class Source:
 class EpisodeExamples:
     """The examples of one episode; frames are kept once."""
 
-    lidar: Tensor  # (n, 3, R) m, +inf on free rays
+    lidar: Tensor  # (n, C, R) m, +inf on free rays
     rows: Tensor  # (m, K) int64: the frames of each example, oldest first
     wanted: Tensor  # (m, 2) m/s, world frame
 
@@ -44,7 +44,7 @@ class EpisodeExamples:
         return len(self.rows)
 
     def frames(self) -> Tensor:
-        """Return the stacks of all examples, (m, K, 3, R) m."""
+        """Return the stacks of all examples, (m, K, C, R) m."""
         return self.lidar[self.rows]
 
 
@@ -174,7 +174,7 @@ def stream_examples(
     labels: str = '',
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     """
-    Yield scaled frames (n, K, 3, R), ray in front (n,), wanted action (n, 2) episode by episode.
+    Yield scaled frames (n, K, C, R), ray in front (n,), wanted action (n, 2) episode by episode.
 
     Arguments are those of stream_steps().
     """

@@ -103,7 +103,7 @@ class FaultyLidarController(LearnedController):
     lidar: LidarConfig
 
     def look(self, seen: WorldState) -> Tensor:
-        """Return ranges (..., H, 3, R) m; each of fewer rays stands for its neighbours too."""
+        """Return ranges (..., H, C, R) m; each of fewer rays stands for its neighbours too."""
         wanted = self.policy.config.lidar.n_rays
         ranges = scan(seen, self.lidar)
         return ranges.repeat_interleave(wanted // self.lidar.n_rays, dim=-1).roll(

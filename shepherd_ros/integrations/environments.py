@@ -1,7 +1,7 @@
 """
 The environment in the terms of Gymnasium (vector) and of PettingZoo (parallel).
 
-Both run sim.env: an observation is the network's input (C, L) float32, an action a velocity (2,)
+Both run sim.env: an observation is the network's input (D, L) float32, an action a velocity (2,)
 in units of the top speed, relative to the ray in front of the input. The reward is the team's. An
 episode ends by its time limit only, which is a truncation.
 """
@@ -29,7 +29,8 @@ def spaces_of(config: EnvConfig) -> tuple[spaces.Box, spaces.Box]:
     """Return what one shepherd sees and does."""
     observation, lidar = config.observation, config.lidar
     highest = max(lidar.range_max / (observation.unit or lidar.range_max), observation.none_value)
-    shape = input_shape(observation, lidar.n_rays)
+    types, n_rays = lidar.layout.shape
+    shape = input_shape(observation, n_rays, types)
     return (
         spaces.Box(0.0, highest, shape, np.float32),
         spaces.Box(-1.0, 1.0, (2,), np.float32),
@@ -50,7 +51,7 @@ class _Worlds:
         self.first = torch.zeros(n_worlds, config.world.n_shepherds, dtype=torch.int64)
 
     def seen(self, stack: Tensor | None) -> np.ndarray:
-        """Return the inputs (B, H, C, L) of stacks (B, H, K, 3, R) m."""
+        """Return the inputs (B, H, D, L) of stacks (B, H, K, C, R) m."""
         assert stack is not None
         observation = self.config.observation
         inputs = network_input(stack, observation, self.config.lidar.range_max)
@@ -101,7 +102,7 @@ class HerdingVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Return observations (num_envs, C, L) and info; world b starts with seed + b."""
+        """Return observations (num_envs, D, L) and info; world b starts with seed + b."""
         if isinstance(seed, list):
             raise ConfigError(f'seed is {seed}: expected one number, from which all worlds follow')
         return self._flat(self.worlds.reset(seed)), {}

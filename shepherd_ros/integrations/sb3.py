@@ -40,7 +40,7 @@ class HerdingVecEnv(VecEnv):
         super().__init__(self.env.num_envs, seen, done)
 
     def reset(self) -> np.ndarray:
-        """Return observations (num_envs, C, L); seed() says with which seed world 0 starts."""
+        """Return observations (num_envs, D, L); seed() says with which seed world 0 starts."""
         seen, _ = self.env.reset(seed=self._seeds[0])
         self._reset_seeds()
         return seen
@@ -93,7 +93,7 @@ class LidarFeatures(BaseFeaturesExtractor):
     """Two convolutions over the rays and a dense layer, smaller than the paper's."""
 
     def __init__(self, observation_space: spaces.Box, features_dim: int = 128) -> None:
-        """Make the layers for inputs (C, L)."""
+        """Make the layers for inputs (D, L)."""
         super().__init__(observation_space, features_dim)
         channels, length = observation_space.shape
         self.rays = nn.Sequential(
@@ -107,7 +107,7 @@ class LidarFeatures(BaseFeaturesExtractor):
         self.dense = nn.Sequential(nn.Linear(width, features_dim), nn.ReLU())
 
     def forward(self, observations: Tensor) -> Tensor:
-        """Return features (B, features_dim) of inputs (B, C, L)."""
+        """Return features (B, features_dim) of inputs (B, D, L)."""
         features: Tensor = self.dense(self.rays(observations))
         return features
 

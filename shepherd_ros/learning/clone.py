@@ -33,12 +33,12 @@ class CloneConfig(Config):
 
 
 class Examples:
-    """The newest examples: scaled frames (K, 3, R), the ray in front, the wanted action (2,)."""
+    """The newest examples: scaled frames (K, C, R), the ray in front, the wanted action (2,)."""
 
     def __init__(self, policy: Policy, capacity: int, dtype: torch.dtype) -> None:
         """Make an empty store; memory is taken as it fills."""
         config = policy.config
-        shape = (config.observation.n_frames, 3, config.lidar.n_rays)
+        shape = (config.observation.n_frames, *config.lidar.layout.shape)
         self.frames = torch.empty(capacity, *shape, dtype=dtype)
         self.first = torch.empty(capacity, dtype=torch.int64)
         self.wanted = torch.empty(capacity, 2)

@@ -156,8 +156,8 @@ class Rollout:
         ]
         self.before = policy.config.frames.window - 1  # rows kept from earlier decisions
         shape = (groups, self.before + decisions + 1, worlds, task.shepherds_max)
-        n_rays = policy.config.lidar.n_rays
-        self.store = torch.zeros(*shape, 3, n_rays, dtype=dtype, device=device)
+        scan = policy.config.lidar.layout.shape
+        self.store = torch.zeros(*shape, *scan, dtype=dtype, device=device)
         self.first = torch.zeros(shape, dtype=torch.int64, device=device)
         # row in which the episode began
         self.begun = torch.zeros(shape[:2], dtype=torch.int64, device=device)
@@ -184,7 +184,7 @@ class Rollout:
         return ((g[:, None] * rows + seen) * worlds + world[:, None]) * team + shepherd[:, None]
 
     def inputs(self, rows: Tensor, first: Tensor) -> Tensor:
-        """Return the network's input (n, C, L) for rows (n, K) of the store."""
+        """Return the network's input (n, D, L) for rows (n, K) of the store."""
         frames = self.store.flatten(0, 3)[rows]
         return self.policy.arranged(frames, first)
 

@@ -12,7 +12,7 @@ import rclpy
 from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.ros.runtime import make_executor
 from shepherd_ros.ros.world_subscriber import Listener
-from shepherd_ros.sim.lidar import CHANNELS
+from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.state import stack, WorldState
 from shepherd_ros.wire.decode import Scan
@@ -34,7 +34,7 @@ class Witness(ShepherdNode):
         self.scans: dict[int, dict[int, np.ndarray]] = {}
         self.metrics: dict[str, float] = {}
         self.listener = Listener(self, self.on_state)
-        for k, channel in enumerate(CHANNELS):
+        for k, channel in enumerate(PAPER_CHANNELS):
             self.listen('shepherd_{h}/scan/' + channel, partial(self.on_scan, k), shepherd)
         for name in METRICS:
             self.listen(f'metrics/{name}', partial(self.on_metric, name))
@@ -69,7 +69,7 @@ class Witness(ShepherdNode):
         some = next(iter(self.scans.values()), {0: np.full(1, np.inf, np.float32)})
         nothing = np.full_like(next(iter(some.values())), np.inf)
         rows = [
-            [self.scans.get(ns, {}).get(k, nothing) for k in range(len(CHANNELS))]
+            [self.scans.get(ns, {}).get(k, nothing) for k in range(len(PAPER_CHANNELS))]
             for ns in sorted(self.states)
         ]
         return np.array(rows)

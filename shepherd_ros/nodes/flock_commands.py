@@ -10,7 +10,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from shepherd_ros.nodes.pending_commands import CommandBuffer
 from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
-from shepherd_ros.sim.lidar import CHANNELS
+from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.sim.limits import MAX_FLOAT32
 from shepherd_ros.wire.decode import decode_stamp, Vector
 from shepherd_ros.wire.episode import Episode
@@ -73,7 +73,7 @@ class CommandGate:
         scans = {
             f'shepherd_{h}/scan/{channel}': ('shepherd_{h}/scan/' + channel, h)
             for h in range(episode.n_shepherds if self.wait_for_scans else 0)
-            for channel in CHANNELS
+            for channel in PAPER_CHANNELS
         }
         for name in self.scans.keys() - scans.keys():
             self.node.destroy_subscription(self.scans.pop(name))

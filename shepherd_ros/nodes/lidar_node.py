@@ -1,4 +1,4 @@
-"""The lidar node: poses in, three scans per shepherd out."""
+"""The lidar node: poses in, a scan of each channel per shepherd out."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from shepherd_ros.ros.parameters import declare_config
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.ros.world_subscriber import Listener
 from shepherd_ros.sim import compiled
-from shepherd_ros.sim.lidar import CHANNELS, LidarConfig, scan
+from shepherd_ros.sim.lidar import LidarConfig, scan
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
@@ -44,7 +44,10 @@ class LidarNode(ShepherdNode):
             'noise_std', 0.0, 'noise on all perceived positions [m]', low=0.0
         )
         self.outputs = {
-            h: [self.advertise('shepherd_{h}/scan/' + channel, h) for channel in CHANNELS]
+            h: [
+                self.advertise('shepherd_{h}/scan/' + channel, h)
+                for channel in self.config.layout.channels
+            ]
             for h in self.shepherd_ids
         }
         self.markers = self.advertise('markers')
@@ -77,7 +80,8 @@ class LidarNode(ShepherdNode):
                 output.publish(encode_scan(ns, frame, channel, self.config.range_max, episode.dt))
             if draw and self.markers.get_subscription_count():
                 origin, seen_by_h = state.shepherds[h], torch.from_numpy(row)
-                self.markers.publish(ray_markers(ns, self.frame_id, h, origin, seen_by_h))
+                by_channel = dict(zip(self.config.layout.channels, seen_by_h, strict=True))
+                self.markers.publish(ray_markers(ns, self.frame_id, h, origin, by_channel))
         if draw:
             self.drawn = self.wall()
 

@@ -59,7 +59,7 @@ class PolicyNode(ShepherdNode):
         self.present: list[int] = []
         self.refused = ''
         self.memory: Memory = {}
-        self.newest = torch.empty(0)  # last ranges (H, 3, R) m of those present
+        self.newest = torch.empty(0)  # last ranges (H, C, R) m of those present
         self.last: tuple[int, Tensor] | None = None
         self.heard = self.wall()
         self.stale = False
@@ -74,7 +74,7 @@ class PolicyNode(ShepherdNode):
     def _warm_up(self) -> None:
         """Answer once what nobody asked, as a first answer takes most of a second."""
         team = len(self.shepherd_ids)
-        ranges = torch.full((team, 3, self.policy.config.lidar.n_rays), torch.inf)
+        ranges = torch.full((team, *self.policy.config.lidar.layout.shape), torch.inf)
         ranges[..., ::2] = 5.0
         there = torch.ones(team, dtype=torch.bool)
         inference.fly(
@@ -113,7 +113,7 @@ class PolicyNode(ShepherdNode):
         if self.last is None or ns != self.last[0]:
             if self.last is None or ns < self.last[0]:
                 self.memory = inference.begin(self.policy, (), len(self.present))
-                shape = (len(self.present), 3, self.policy.config.lidar.n_rays)
+                shape = (len(self.present), *self.policy.config.lidar.layout.shape)
                 self.newest = torch.full(shape, torch.inf)
             self.last = (ns, self._decide(ns, ranges, episode))
         self._publish(*self.last)

@@ -29,7 +29,8 @@ def card(name: str, policy: Policy, record: Mapping[str, Any]) -> str:
         '',
         '## What it is',
         '',
-        f'- one lidar of {config.lidar.n_rays} rays and three channels, up to '
+        f'- one lidar of {config.lidar.n_rays} rays, channels '
+        f'{", ".join(config.lidar.layout.channels)}, up to '
         f'{config.lidar.range_max:g} m',
         f'- {sees.n_frames} frames, {sees.spacing} steps of {config.dt:g} s apart; layout '
         f'{sees.layout}, first ray toward the {sees.align}, ranges in units of '

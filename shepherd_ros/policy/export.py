@@ -11,7 +11,7 @@ from torch import nn, Tensor
 
 
 class PlainActor(nn.Module):
-    """Frames (n, K, 3, R) m, +inf on free rays, to mean velocities (n, 2) m/s, world frame."""
+    """Frames (n, K, C, R) m, +inf on free rays, to mean velocities (n, 2) m/s, world frame."""
 
     def __init__(self, policy: Policy) -> None:
         """Take the weights of a policy."""
@@ -29,7 +29,7 @@ class PlainActor(nn.Module):
 
 def export_actor(policy: Policy, path: Path) -> float:
     """Write the actor as TorchScript; return its largest difference from the policy [m/s]."""
-    shape = (2, policy.config.observation.n_frames, 3, policy.config.lidar.n_rays)
+    shape = (2, policy.config.observation.n_frames, *policy.config.lidar.layout.shape)
     generator = torch.Generator().manual_seed(0)
 
     def readings(count: int) -> Tensor:

@@ -17,7 +17,7 @@ def begin(
 ) -> Memory:
     """Return the memory of teams (*batch, team) that have seen nothing; dtype as for fly()."""
     config, device = policy.config, policy.device
-    shape = (*batch, team, config.frames.window, 3, config.lidar.n_rays)
+    shape = (*batch, team, config.frames.window, *config.lidar.layout.shape)
     return {
         'count': torch.zeros(batch, dtype=torch.int64, device=device),  # steps since then
         'history': torch.zeros(shape, dtype=dtype, device=device),  # scaled, newest last
@@ -38,7 +38,7 @@ def fly(
     """
     Return commands (..., H, 2) m/s, world frame, at most top_speed [m/s]; and memory.
 
-    look() returns the ranges (..., H, 3, R) m of this step and is called where it is time to
+    look() returns the ranges (..., H, C, R) m of this step and is called where it is time to
     decide; between decisions commands are held. present (..., H) bool are those who act; the
     others keep their command, zero at first. draws() returns standard normal numbers
     (..., H, 2) for sampled actions; None: the mean.

@@ -50,7 +50,7 @@ def weights(layer: nn.Conv1d) -> tuple[Tensor, Tensor]:
 
 
 class Body(nn.Module):
-    """From input (B, C, L) to features (B, hidden): shared in form, not in weights."""
+    """From input (B, D, L) to features (B, hidden): shared in form, not in weights."""
 
     def __init__(self, shape: tuple[int, int], config: NetworkConfig) -> None:
         """Make the layers for an input of C channels and length L."""
@@ -91,7 +91,7 @@ class Body(nn.Module):
 
 
 class Actor(nn.Module):
-    """From input (B, C, L) to mean and standard deviation of the action, (B, 2) m/s each."""
+    """From input (B, D, L) to mean and standard deviation of the action, (B, 2) m/s each."""
 
     def __init__(self, shape: tuple[int, int], config: NetworkConfig) -> None:
         """Make the network with nearly no motion as its first mean."""
@@ -116,7 +116,7 @@ class Actor(nn.Module):
 
 
 class Critic(nn.Module):
-    """From input (B, C, L) to the expected return of the team, (B,)."""
+    """From input (B, D, L) to the expected return of the team, (B,)."""
 
     def __init__(self, shape: tuple[int, int], config: NetworkConfig) -> None:
         """Make the network."""

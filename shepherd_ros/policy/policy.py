@@ -57,7 +57,8 @@ class Policy(nn.Module):
         """Make networks with random weights from torch's generator."""
         super().__init__()
         self.config = config
-        shape = input_shape(config.observation, config.lidar.n_rays)
+        types, n_rays = config.lidar.layout.shape
+        shape = input_shape(config.observation, n_rays, types)
         self.actor = Actor(shape, config.network)
         self.critic = Critic(shape, config.network)
 
@@ -76,11 +77,11 @@ class Policy(nn.Module):
         return scaled_ranges(ranges, self.config.observation, self.config.lidar.range_max)
 
     def first_ray(self, ranges: Tensor) -> Tensor:
-        """Return the ray in front for the newest frames (..., 3, R) m; actions are relative."""
+        """Return the ray in front for the newest frames (..., C, R) m; actions are relative."""
         return first_ray(ranges, self.config.observation)
 
     def arranged(self, scaled: Tensor, first: Tensor) -> Tensor:
-        """Return the input (..., C, L) of scaled frames (..., K, 3, R) with a ray in front."""
+        """Return the input (..., D, L) of scaled frames (..., K, C, R) with a ray in front."""
         return arranged(scaled, first, self.config.observation)
 
     @torch.no_grad()
@@ -90,7 +91,7 @@ class Policy(nn.Module):
         """
         Return velocities (n, 2) m/s in the world frame, not cut to the top speed.
 
-        frames (n, K, 3, R) m are readings, +inf on free rays, newest last. draws (n, 2) are
+        frames (n, K, C, R) m are readings, +inf on free rays, newest last. draws (n, 2) are
         standard normal numbers for a sampled action; None: the mean. dtype is that of the work.
         """
         first = self.first_ray(frames[:, -1])
@@ -98,7 +99,7 @@ class Policy(nn.Module):
 
     @torch.no_grad()
     def act_on(self, scaled: Tensor, first: Tensor, draws: Tensor | None = None) -> Tensor:
-        """Return act() for frames that scaled() gave, (n, K, 3, R), with their ray in front."""
+        """Return act() for frames that scaled() gave, (n, K, C, R), with their ray in front."""
         if not len(scaled):
             return torch.zeros(0, 2, device=scaled.device)
         mean, std = self.actor(self.arranged(scaled, first))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from geometry_msgs.msg import Point
 from shepherd_ros.ros.node import stamp
-from shepherd_ros.sim.lidar import CHANNELS
+from shepherd_ros.sim.lidar_layout import channel_of
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import from_bearing
 from std_msgs.msg import ColorRGBA
@@ -19,13 +20,18 @@ COLORS = {'sheep': (0.35, 0.35, 0.35), 'shepherds': (0.0, 0.45, 0.7), 'goal': (0
 
 
 def _marker(ns: int, frame_id: str, name: str, kind: int, size: float, color: str) -> Marker:
-    red, green, blue = COLORS[color]
+    red, green, blue = COLORS.get(color) or _rgb(channel_of(color).hit)
     marker = Marker(ns=name, id=0, type=kind, action=Marker.ADD)
     marker.header.stamp, marker.header.frame_id = stamp(ns), frame_id
     marker.pose.orientation.w = 1.0
     marker.scale.x = marker.scale.y = marker.scale.z = size
     marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
     return marker
+
+
+def _rgb(color: str) -> tuple[float, ...]:
+    """Return a colour such as #0072B2 as numbers from 0 to 1."""
+    return tuple(value / 255 for value in bytes.fromhex(color.removeprefix('#')))
 
 
 def _points(positions: Tensor) -> list[Any]:
@@ -45,13 +51,13 @@ def world_markers(ns: int, frame_id: str, state: WorldState) -> MarkerArray:
 
 
 def ray_markers(
-    ns: int, frame_id: str, shepherd: int, origin: Tensor, ranges: Tensor
+    ns: int, frame_id: str, shepherd: int, origin: Tensor, ranges: Mapping[str, Tensor]
 ) -> MarkerArray:
-    """Return the rays of a lidar that hit something; origin (2,) m, ranges (3, R) m."""
-    count = ranges.shape[-1]
+    """Return the rays of a lidar that hit something; origin (2,) m, ranges (R,) m by channel."""
+    count = len(next(iter(ranges.values())))
     rays = from_bearing(torch.arange(count) * (2 * torch.pi / count))
     markers = []
-    for channel, row in zip(CHANNELS, ranges, strict=True):
+    for channel, row in ranges.items():
         name = f'shepherd_{shepherd}/lidar/{channel}'
         marker = _marker(ns, frame_id, name, Marker.LINE_LIST, 0.03, channel)
         marker.color.a = 0.5

@@ -1,4 +1,4 @@
-"""Hear the lidars: put together the three scans of each shepherd, stamp by stamp."""
+"""Hear the lidars: put together the scans of each shepherd, stamp by stamp."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from rclpy.subscription import Subscription
 from shepherd_ros.ros.node import ShepherdNode
-from shepherd_ros.sim.lidar import CHANNELS, LidarConfig
+from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.wire.decode import CdrError, decode_scan, Scan
 
 THROTTLE = 5.0  # [s] between two warnings
@@ -17,7 +17,7 @@ class ScanListener:
     """
     Calls on_scans(stamp_ns, ranges) with what the shepherds of a node see at one stamp.
 
-    ranges maps a shepherd to an array (3, R) m, +inf for no return. It is called once all are
+    ranges maps a shepherd to an array (C, R) m, +inf for no return. It is called once all are
     complete, or when a later stamp comes in: then shepherds with a scan missing or not fit to use
     are left out. faults counts those, by what was wrong.
     """
@@ -30,6 +30,7 @@ class ScanListener:
     ) -> None:
         """Make a listener that hears nobody; listen_to() subscribes."""
         self.node, self.lidar, self.on_scans = node, lidar, on_scans
+        self.channels = lidar.layout.channels
         self.faults: dict[str, int] = {}
         self._inputs: dict[int, list[Subscription]] = {}
         self._ns = -1
@@ -45,7 +46,7 @@ class ScanListener:
                 self.node.listen(
                     'shepherd_{h}/scan/' + channel, self._receiver(h, channel), h, decode=bytes
                 )
-                for channel in CHANNELS
+                for channel in self.channels
             ]
         self.forget()
 
@@ -64,7 +65,7 @@ class ScanListener:
                 self._next(scan.stamp_ns)
             if self._fits(scan, shepherd, channel):
                 self._parts.setdefault(shepherd, {})[channel] = scan.ranges
-                if all(len(self._parts.get(h, ())) == len(CHANNELS) for h in self._inputs):
+                if all(len(self._parts.get(h, ())) == len(self.channels) for h in self._inputs):
                     self._deliver()
 
         return receive
@@ -72,7 +73,7 @@ class ScanListener:
     def _next(self, ns: int) -> None:
         """Turn to another stamp; what is there of the one before is delivered if it is older."""
         if self._parts and ns > self._ns:
-            missing = [h for h in self._inputs if len(self._parts.get(h, ())) < len(CHANNELS)]
+            missing = [h for h in self._inputs if len(self._parts.get(h, ())) < len(self.channels)]
             for h in missing:
                 self._fault('missing', h, 'some channel', f'not all scans of {self._ns * 1e-9} s')
             self._deliver()
@@ -80,9 +81,9 @@ class ScanListener:
 
     def _deliver(self) -> None:
         whole = {
-            h: np.stack([parts[channel] for channel in CHANNELS])
+            h: np.stack([parts[channel] for channel in self.channels])
             for h, parts in self._parts.items()
-            if len(parts) == len(CHANNELS)
+            if len(parts) == len(self.channels)
         }
         self._parts = {}
         self.on_scans(self._ns, whole)

@@ -15,7 +15,7 @@ class ShepherdEnv:
     """
     B worlds that step together; one that ends starts anew at once (Gymnasium's same-step mode).
 
-    Observations are stacks of ranges (B, H, K, 3, R) [m], +inf on free rays, newest frame last;
+    Observations are stacks of ranges (B, H, K, C, R) [m], +inf on free rays, newest frame last;
     without lidar they are None, for controllers that read `perceived`. Actions are (B, H, 2)
     [m/s], world frame. World b starts with seed + b, and its k-th episode with seed + b + k B, so
     an episode is the same whatever the number of worlds.

@@ -43,20 +43,20 @@ class Frames:
         return torch.maximum(newest[..., None] - back, first[..., None])
 
     def begin(self, ranges: Tensor) -> Tensor:
-        """Return a window full of the first reading; (..., 3, R) m -> (..., W, 3, R) m."""
+        """Return a window full of the first reading; (..., C, R) m -> (..., W, C, R) m."""
         window = (*ranges.shape[:-2], self.window, *ranges.shape[-2:])
         return ranges[..., None, :, :].expand(window).clone()
 
     def push(self, window: Tensor, ranges: Tensor) -> Tensor:
-        """Return the window with the newest reading last; (..., W, 3, R), (..., 3, R) m."""
+        """Return the window with the newest reading last; (..., W, C, R), (..., C, R) m."""
         return torch.cat([window[..., 1:, :, :], ranges[..., None, :, :]], dim=-3)
 
     def restart(self, window: Tensor, ranges: Tensor, begins: Tensor) -> Tensor:
-        """Return windows (..., H, W, 3, R) with those full of a reading that begin, (...) bool."""
+        """Return windows (..., H, W, C, R) with those full of a reading that begin, (...) bool."""
         if not begins.any():
             return window
         return torch.where(begins[(..., *(None,) * 4)], self.begin(ranges), window)
 
     def seen(self, window: Tensor) -> Tensor:
-        """Return the frames of a window, newest last; (..., W, 3, R) -> (..., K, 3, R)."""
+        """Return the frames of a window, newest last; (..., W, C, R) -> (..., K, C, R)."""
         return window[..., :: self.apart, :, :]

@@ -1,20 +1,20 @@
-"""The shepherds' lidar: ranges to discs of three types (paper, section 3)."""
+"""The shepherds' lidar: ranges to discs, a channel for each type (paper, section 3)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 import math
 
-from shepherd_ros.config import Config, option
+from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.sim.compiled import usable
 from shepherd_ros.sim.fused import fused, fusible
 from shepherd_ros.sim.lidar_compiled import scan_discs
+from shepherd_ros.sim.lidar_layout import CHANNELS, in_order, ScanLayout
 from shepherd_ros.sim.rng import normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor
 
-CHANNELS = ('sheep', 'shepherds', 'goal')
 TOUCHING = (
     0.01  # [m] range to a body that overlaps the sensor: not 0, which stands for nothing seen
 )
@@ -35,6 +35,28 @@ class LidarConfig(Config):
     dropout: float = option(
         0.0, 'chance that a ray of a channel returns nothing', low=0.0, high=1.0
     )
+    others: str = option(
+        '',
+        'channels of plug-ins beside sheep, shepherds and goal, with commas between',
+        sparse=True,
+    )
+
+    def __post_init__(self) -> None:
+        """Check each field and the names of the channels."""
+        super().__post_init__()
+        names = sorted({name.strip() for name in self.others.split(',')} - {''})
+        known = [name for name, channel in CHANNELS.items() if channel.discs is not None]
+        if not set(names) <= set(known):
+            raise ConfigError(
+                f'others is {self.others!r}: expected channels of plug-ins, '
+                f'{", ".join(known) or "of which there are none"}'
+            )
+        object.__setattr__(self, 'others', ','.join(names))
+
+    @property
+    def layout(self) -> ScanLayout:
+        """Return the channels and rays of its scans."""
+        return ScanLayout(in_order(filter(None, self.others.split(','))), self.n_rays)
 
 
 def cast_rays(
@@ -123,18 +145,22 @@ def cast_all_rays(
 
 def scan(state: WorldState, config: LidarConfig, shepherds: Tensor | None = None) -> Tensor:
     """
-    Return what the shepherds' lidars see, +inf for no return; -> (..., S, 3, n_rays) m.
+    Return what the shepherds' lidars see, +inf for no return; -> (..., S, C, n_rays) m.
 
-    Channels are CHANNELS, rays are aligned with the world. shepherds (S,) int64 names those whose
-    lidars are read, all by default. An absent shepherd sees nothing.
+    Channels are those of the layout, rays are aligned with the world. shepherds (S,) int64 names
+    those whose lidars are read, all by default. An absent shepherd sees nothing.
     """
     if shepherds is None:
         shepherds = torch.arange(state.shepherds.shape[-2], device=state.shepherds.device)
-    return _with_faults(state, config, shepherds, _discs(state, config, shepherds))
+    ranges = _discs(state, config, shepherds)
+    if config.others:
+        more = [_other(state, config, shepherds, name) for name in config.others.split(',')]
+        ranges = torch.cat([ranges, torch.stack(more, dim=-2)], dim=-2)
+    return _with_faults(state, config, shepherds, ranges)
 
 
 def _discs(state: WorldState, config: LidarConfig, shepherds: Tensor) -> Tensor:
-    """Return the ranges of a lidar without faults in which types do not hide each other."""
+    """Return the paper's channels of a lidar without faults, whose types hide nothing else."""
     if usable(state.sheep, state.shepherds):
         return scan_discs(
             state,
@@ -145,33 +171,57 @@ def _discs(state: WorldState, config: LidarConfig, shepherds: Tensor) -> Tensor:
             config.range_max,
             TOUCHING,
         )
-    origin = state.shepherds[..., shepherds, :]
-    present = state.shepherd_mask[..., shepherds, None]  # (..., S, 1)
-    every = torch.arange(state.shepherds.shape[-2], device=origin.device)
+    every = torch.arange(state.shepherds.shape[-2], device=shepherds.device)
 
     def channel(centers: Tensor, radius: Tensor, mask: Tensor, solid: bool = True) -> Tensor:
-        mask = (mask & present).expand(*origin.shape[:-1], centers.shape[-2])
-        return (cast_all_rays if fusible(origin) else cast_rays)(
-            origin, centers[..., None, :, :], radius, mask, config.n_rays, config.range_max, solid
-        )
+        return _channel(state, config, shepherds, (centers, radius, mask), solid)
 
     def size(radius: float) -> Tensor:
-        return torch.tensor(radius, dtype=origin.dtype, device=origin.device)
+        return torch.tensor(radius, dtype=state.sheep.dtype, device=state.sheep.device)
 
     sheep = channel(state.sheep, size(config.sheep_radius), state.sheep_mask[..., None, :])
     others = state.shepherd_mask[..., None, :] & (every != shepherds[:, None])  # not itself
     team = channel(state.shepherds, size(config.shepherd_radius), others)
     radius = state.goal_radius[..., None, None]
-    goal = channel(state.goal[..., None, :], radius, torch.ones_like(present), solid=False)
+    goal = channel(
+        state.goal[..., None, :], radius, torch.ones_like(radius, dtype=torch.bool), solid=False
+    )
     return torch.stack([sheep, team, goal], dim=-2)
+
+
+def _channel(
+    state: WorldState,
+    config: LidarConfig,
+    shepherds: Tensor,
+    discs: tuple[Tensor, Tensor, Tensor],
+    solid: bool,
+) -> Tensor:
+    """Return the ranges (..., S, R) m to discs: centers (..., K, 2), radii, mask (..., S, K)."""
+    centers, radius, mask = discs
+    origin = state.shepherds[..., shepherds, :]
+    present = state.shepherd_mask[..., shepherds, None]  # (..., S, 1)
+    mask = (mask & present).expand(*origin.shape[:-1], centers.shape[-2])
+    return (cast_all_rays if fusible(origin) else cast_rays)(
+        origin, centers[..., None, :, :], radius, mask, config.n_rays, config.range_max, solid
+    )
+
+
+def _other(state: WorldState, config: LidarConfig, shepherds: Tensor, name: str) -> Tensor:
+    """Return the ranges of a channel of a plug-in, (..., S, R) m."""
+    channel = CHANNELS[name]
+    assert channel.discs is not None, name
+    centers, radius, mask = channel.discs(state)
+    discs = centers, radius[..., None, :], mask[..., None, :]
+    return _channel(state, config, shepherds, discs, channel.solid)
 
 
 def _with_faults(
     state: WorldState, config: LidarConfig, shepherds: Tensor, ranges: Tensor
 ) -> Tensor:
-    """Return the ranges (..., S, 3, R) m with occlusion between types, noise and dropout."""
+    """Return the ranges (..., S, C, R) m with occlusion between types, noise and dropout."""
     if config.cross_occlusion:
-        nearest_body = ranges[..., :2, :].amin(dim=-2, keepdim=True)
+        bodies = [k for k, name in enumerate(config.layout.channels) if CHANNELS[name].hides]
+        nearest_body = ranges[..., bodies, :].amin(dim=-2, keepdim=True)
         ranges = torch.where(ranges > nearest_body, torch.inf, ranges)
     if config.range_noise == 0 and config.dropout == 0:
         return ranges

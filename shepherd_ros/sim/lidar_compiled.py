@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 from shepherd_ros.sim.compiled import compiled, flat
+from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor
@@ -86,10 +87,10 @@ def scan_discs(
     range_max: float,
     touching: float,
 ) -> Tensor:
-    """Return the ranges (..., S, 3, R) m of a lidar without faults, as sim.lidar does."""
-    batch = state.step.shape
+    """Return the ranges (..., S, 3, R) m of the paper's channels, as sim.lidar does."""
+    batch, shape = state.step.shape, (len(chosen), len(PAPER_CHANNELS), n_rays)
     cos, sin = _ray_table(n_rays)
-    out = np.full((state.step.numel(), len(chosen), 3, n_rays), np.inf, np.float32)
+    out = np.full((state.step.numel(), *shape), np.inf, np.float32)
     _scan(
         flat(state.sheep, 2),
         flat(state.sheep_mask, 1),
@@ -106,4 +107,4 @@ def scan_discs(
         np.float32(touching),
         out,
     )
-    return torch.from_numpy(out).reshape(*batch, len(chosen), 3, n_rays)
+    return torch.from_numpy(out).reshape(*batch, *shape)

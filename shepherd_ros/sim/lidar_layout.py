@@ -1,24 +1,83 @@
-"""The layout of a scan: its channels, which can be read without torch."""
+"""
+The layout of a scan: its channels and rays, which can be read without torch.
+
+A channel of its own needs one entry, CHANNELS.add(Channel(name, meaning, discs=...)), and is cast
+by lidars that name it in their option `others`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
+from shepherd_ros.config import ConfigError
 from shepherd_ros.registry import Registry
+
+# of a state of the world: centers (..., K, 2) m, radius (..., K) m, mask (..., K) bool
+Discs = Callable[[Any], tuple[Any, Any, Any]]
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One type of what a lidar sees, with ranges of its own."""
+    """One type of what a lidar sees; bodies of a type hide only each other."""
 
     name: str
     meaning: str
+    color: str = '#C9A3D4'  # of its rays in pictures
+    hit: str = '#7B3294'  # of their ends, and of markers
+    discs: Discs | None = None  # what it sees; sim/lidar.py knows it of the paper's channels
+    solid: bool = True  # bodies; the rays from inside others end at the rim
+    hides: bool = False  # what is behind, of any type, where types hide each other
 
 
 CHANNELS: Registry[Channel] = Registry('lidar channel')
-for _channel in (
-    Channel('sheep', 'ranges to sheep'),
-    Channel('shepherds', 'ranges to other shepherds'),
-    Channel('goal', 'ranges to the rim of the goal region'),
-):
+_PAPER = (
+    Channel('sheep', 'ranges to sheep', '#56B4E9', '#0072B2', hides=True),
+    Channel('shepherds', 'ranges to other shepherds', '#E08A4B', '#D55E00', hides=True),
+    Channel('goal', 'ranges to the rim of the goal region', '#6CC5A8', '#009E73', solid=False),
+)
+for _channel in _PAPER:
     CHANNELS.add(_channel)
+PAPER_CHANNELS = tuple(channel.name for channel in _PAPER)  # which every lidar has, in this order
+GOAL = PAPER_CHANNELS.index('goal')
+
+
+@dataclass(frozen=True)
+class ScanLayout:
+    """What the numbers of a scan are: channels, the paper's first, each with as many rays."""
+
+    channels: tuple[str, ...]
+    n_rays: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Return how many channels and rays there are."""
+        return len(self.channels), self.n_rays
+
+    def require(self, wanted: ScanLayout, where: str) -> None:
+        """Raise ConfigError unless the scans of a place have the layout that is wanted."""
+        for name in wanted.channels:
+            if name not in self.channels:
+                raise ConfigError(
+                    f'{where}: scans have no channel {name!r}, but {", ".join(self.channels)}: '
+                    'expected those of the policy; cast it with the option others of the lidar'
+                )
+        if self.channels != wanted.channels:
+            more = next(name for name in self.channels if name not in wanted.channels)
+            raise ConfigError(
+                f'{where}: scans have a channel {more!r}, expected {", ".join(wanted.channels)} '
+                'as the policy; give it the option others of the lidar'
+            )
+        if self.n_rays != wanted.n_rays:
+            raise ConfigError(f'{where}: scans have {self.n_rays} rays, expected {wanted.n_rays}')
+
+
+def in_order(names: Iterable[str]) -> tuple[str, ...]:
+    """Return the paper's channels and then the others among some names, by name."""
+    return (*PAPER_CHANNELS, *sorted(set(names) - set(PAPER_CHANNELS)))
+
+
+def channel_of(name: str) -> Channel:
+    """Return the entry of a channel, or one that knows its name only."""
+    return CHANNELS[name] if name in CHANNELS else Channel(name, name)

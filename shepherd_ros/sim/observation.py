@@ -7,12 +7,11 @@ import math
 
 from shepherd_ros.config import Config, option
 from shepherd_ros.sim.frames import Frames
-from shepherd_ros.sim.lidar import CHANNELS
+from shepherd_ros.sim.lidar_layout import GOAL, PAPER_CHANNELS
 import torch
 from torch import Tensor
 
 LAYOUTS = ('types', 'frames', 'ring')
-GOAL = CHANNELS.index('goal')
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ def scaled_ranges(ranges: Tensor, config: ObservationConfig, range_max: float) -
 
 def first_ray(ranges: Tensor, config: ObservationConfig) -> Tensor:
     """
-    Return the ray that comes first in the input; newest frame (..., 3, R) m -> (...) int64.
+    Return the ray that comes first in the input; newest frame (..., C, R) m -> (...) int64.
 
     Toward the goal: the rays that see its disc, weighted by range, point to its middle on average,
     from outside and from inside alike. Ray 0 where it is not seen.
@@ -73,9 +72,9 @@ def first_ray(ranges: Tensor, config: ObservationConfig) -> Tensor:
 
 def arranged(stack: Tensor, first: Tensor, config: ObservationConfig) -> Tensor:
     """
-    Return scaled frames (..., K, 3, R) with ray first (...) in front, as (..., C, L).
+    Return scaled frames (..., K, C, R) with ray first (...) in front, as (..., D, L).
 
-    C, L are 3, K R for layout types (oldest frame first); K, 3 R for frames; 3 K, R for ring.
+    D, L are C, K R for layout types (oldest frame first); K, C R for frames; C K, R for ring.
     """
     if config.align != 'world':
         n_rays = stack.shape[-1]
@@ -90,7 +89,7 @@ def arranged(stack: Tensor, first: Tensor, config: ObservationConfig) -> Tensor:
 
 
 def network_input(stack: Tensor, config: ObservationConfig, range_max: float) -> Tensor:
-    """Return the input (..., C, L) that frames (..., K, 3, R) m are for a network."""
+    """Return the input (..., D, L) that frames (..., K, C, R) m are for a network."""
     first = first_ray(stack[..., -1, :, :], config)
     return arranged(scaled_ranges(stack, config, range_max), first, config)
 
@@ -103,9 +102,11 @@ def turned(vector: Tensor, first: Tensor, n_rays: int) -> Tensor:
     return torch.stack([x * cos - y * sin, x * sin + y * cos], dim=-1)
 
 
-def input_shape(config: ObservationConfig, n_rays: int) -> tuple[int, int]:
-    """Return channels and length of network_input()."""
-    frames, types = config.n_frames, len(CHANNELS)
+def input_shape(
+    config: ObservationConfig, n_rays: int, types: int = len(PAPER_CHANNELS)
+) -> tuple[int, int]:
+    """Return channels and length of network_input() of scans with channels of some types."""
+    frames = config.n_frames
     shapes = {
         'types': (types, frames * n_rays),
         'frames': (frames, types * n_rays),

@@ -58,7 +58,7 @@ class Moment:
 
     @cached_property
     def ranges(self) -> Tensor:
-        """Return what the lidars read, (..., H, 3, R) m, +inf on free rays."""
+        """Return what the lidars read, (..., H, C, R) m, +inf on free rays."""
         return scan(self.perceived, self.config.lidar)
 
     @cached_property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import zip_longest
 from pathlib import Path
 
 from matplotlib.artist import Artist
@@ -11,6 +12,7 @@ from matplotlib.colors import to_rgba
 from matplotlib.lines import Line2D
 import numpy as np
 from shepherd_ros.config import ConfigError
+from shepherd_ros.sim.lidar_layout import channel_of
 from shepherd_ros.view.scene import (
     BADGE,
     GOAL,
@@ -27,10 +29,9 @@ from shepherd_ros.view.scene import (
 from shepherd_ros.view.track import Array, EpisodeTrack
 from shepherd_ros.view.video import video_writer
 
+RAY = {'linewidths': 0.45, 'alpha': 0.45}
 TRAIL = 20  # steps that a shepherd's trail goes back
 # colours of the rays of each channel, and of the points where they end
-RAYS = {'sheep': '#56B4E9', 'shepherds': '#E08A4B', 'goal': '#6CC5A8'}
-HITS = ('#0072B2', '#D55E00', '#009E73')
 
 
 def animate(
@@ -104,12 +105,13 @@ class Painter:
 
         team = range(track.shepherds.shape[1])
         self.goal = add(axes.add_patch(goal_disc(track.goal[0], track.goal_radius)))
+        channels = [channel_of(name) for name in track.channels]
         self.rays = [
-            add(axes.add_collection(LineCollection([], colors=c, linewidths=0.45, alpha=0.45)))
-            for c in RAYS.values()
+            add(axes.add_collection(LineCollection([], colors=c.color, **RAY))) for c in channels
         ]
         self.hits = [
-            add(axes.plot([], [], 's', ms=1.6, mfc=c, mew=0, antialiased=False)[0]) for c in HITS
+            add(axes.plot([], [], 's', ms=1.6, mfc=c.hit, mew=0, antialiased=False)[0])
+            for c in channels
         ]
         self.trails = add(axes.add_collection(LineCollection([], linewidths=2.2)))
         size = sheep_size(track.sheep.shape[1])
@@ -170,11 +172,15 @@ class Painter:
             return handles
         rays = [
             Line2D(
-                [], [], color=color, linewidth=1.6, label=f'lidar {track.lidar_shepherd}: {name}'
+                [],
+                [],
+                color=channel_of(name).color,
+                linewidth=1.6,
+                label=f'lidar {track.lidar_shepherd}: {name}',
             )
-            for name, color in RAYS.items()
+            for name in track.channels
         ]
-        return [handle for pair in zip(handles, rays, strict=True) for handle in pair]
+        return [handle for pair in zip_longest(handles, rays) for handle in pair if handle]
 
 
 def status(track: EpisodeTrack, step: int) -> str:

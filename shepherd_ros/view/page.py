@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import html
 import json
 import math
@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from plotly.offline import get_plotlyjs
 from shepherd_ros.config import ConfigError
-from shepherd_ros.view.animation import HITS, RAYS, TRAIL
+from shepherd_ros.sim.lidar_layout import channel_of
+from shepherd_ros.view.animation import TRAIL
 from shepherd_ros.view.packing import packed, quantum, rounded
 from shepherd_ros.view.scene import (
     FAINT,
@@ -46,8 +47,6 @@ COLORS = {
     'faint': FAINT,
     'grid': GRID,
     'shepherds': SHEPHERDS,
-    'rays': list(RAYS.values()),
-    'hits': HITS,
 }
 
 
@@ -56,7 +55,8 @@ class Lidar:
     """The rays that a page shows."""
 
     shepherds: list[int]  # S whose lidars they are
-    ranges: Ranges  # (T, S, 3, R) m, +inf on free rays
+    ranges: Ranges  # (T, S, C, R) m, +inf on free rays
+    channels: tuple[str, ...]
 
 
 def write_page(
@@ -71,7 +71,7 @@ def write_page(
     """
     Write an episode as .html: a plane to play, pause and scrub, and curves of metrics.
 
-    metrics are (T,) each, NaN where there is no value; units are theirs by name. ranges (T, H, 3,
+    metrics are (T,) each, NaN where there is no value; units are theirs by name. ranges (T, H, C,
     R) m are those of all shepherds, +inf on free rays; without them the page shows those of the
     track, if it has any.
     A file of more than about 15 MB is avoided: of long episodes and large teams the page has
@@ -125,6 +125,7 @@ def page_record(
         )
     curves = {name: curve(name, values, len(track.times)) for name, values in metrics.items()}
     lidar = seen(track, ranges)
+    drawn = [channel_of(name) for name in track.channels]
     steps, every = kept_steps(len(track.times), track.sheep.shape[1] + track.shepherds.shape[1])
     notes = [f'1 in {every} steps is shown.'] if every > 1 else []
     places = np.concatenate([track.sheep, track.shepherds], axis=1)[steps]
@@ -144,13 +145,13 @@ def page_record(
             {'name': name.replace('_', ' '), 'unit': units.get(name, '')} | packed(values[steps])
             for name, values in curves.items()
         ],
-        'colors': COLORS,
+        'colors': COLORS | {'rays': [c.color for c in drawn], 'hits': [c.hit for c in drawn]},
         'sheepSize': sheep_size(track.sheep.shape[1]),
         'trail': TRAIL,
         'lidar': None,
     }
     if lidar is not None:
-        record['lidar'], told = rays(Lidar(lidar.shepherds, lidar.ranges[steps]))
+        record['lidar'], told = rays(replace(lidar, ranges=lidar.ranges[steps]))
         notes.append(told)
     return record | {'notes': notes}
 
@@ -189,10 +190,11 @@ def seen(track: EpisodeTrack, ranges: ArrayLike | None) -> Lidar | None:
         values = track.ranges[:, None].astype(np.float32)
     else:
         return None
-    if values.ndim != 4 or values.shape[:3] != (steps, len(whose), 3) or values.size == 0:
+    count = len(track.channels)
+    if values.ndim != 4 or values.shape[:3] != (steps, len(whose), count) or not values.size:
         raise ConfigError(
-            f'ranges has shape {values.shape}: expected ({steps}, {team}, 3, any), not empty: '
-            'times, shepherds, channels, rays'
+            f'ranges has shape {values.shape}: expected ({steps}, {team}, {count}, any), not '
+            'empty: times, shepherds, channels, rays'
         )
     wrong = ~(values >= 0)  # NaN too
     if wrong.any():
@@ -200,7 +202,7 @@ def seen(track: EpisodeTrack, ranges: ArrayLike | None) -> Lidar | None:
             f'ranges has {wrong.sum()} numbers such as {values[wrong][0]}: expected metres of at '
             'least 0; put +inf on free rays'
         )
-    return Lidar(whose, values)
+    return Lidar(whose, values, track.channels)
 
 
 def rays(lidar: Lidar) -> tuple[dict[str, Any], str]:
@@ -218,4 +220,4 @@ def rays(lidar: Lidar) -> tuple[dict[str, Any], str]:
     shown = f'1 in {every} of the {n_rays}' if every > 1 else f'all {n_rays}'
     told = f'Lidar: {shown} rays are shown, ranges are rounded to {step:g} m.'
     pitch = 2 * math.pi * every / n_rays
-    return data | {'of': lidar.shepherds, 'names': list(RAYS), 'pitch': pitch}, told
+    return data | {'of': lidar.shepherds, 'names': lidar.channels, 'pitch': pitch}, told

@@ -176,11 +176,11 @@ function paint(canvas, layout, data, shown) {
 }
 
 function paintRays(c, X, Y, data, shown) {
-  const [, count, , rays] = RECORD.lidar.shape, shepherd = RECORD.lidar.of[shown.lidar];
+  const [, count, channels, rays] = RECORD.lidar.shape, shepherd = RECORD.lidar.of[shown.lidar];
   const k = 2 * (shown.step * data.team + shepherd);
   const x = data.shepherds[k], y = data.shepherds[k + 1];
   for (const channel of shown.channels) {
-    const start = ((shown.step * count + shown.lidar) * 3 + channel) * rays;
+    const start = ((shown.step * count + shown.lidar) * channels + channel) * rays;
     const ends = [];
     for (let ray = 0; ray < rays; ray++) {
       const whole = data.ranges[start + ray], angle = ray * RECORD.lidar.pitch;

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from shepherd_ros.config import ConfigError
+from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 
 Array = NDArray[np.float64]
 
@@ -26,7 +27,8 @@ class EpisodeTrack:
     goal: Array  # (T, 2) m
     goal_radius: float  # m
     title: str = ''
-    ranges: Array | None = None  # (T, 3, R) m
+    ranges: Array | None = None  # (T, C, R) m
+    channels: tuple[str, ...] = PAPER_CHANNELS  # C of them
     lidar_shepherd: int = 0  # whose lidar it is
     parting: int | None = None  # step at which another future begins, to be marked
 
@@ -38,7 +40,7 @@ class EpisodeTrack:
             'sheep': (steps, None, 2),
             'shepherds': (steps, None, 2),
             'goal': (steps, 2),
-            'ranges': (steps, 3, None),
+            'ranges': (steps, len(self.channels), None),
         }
         for name, shape in shapes.items():
             if getattr(self, name) is None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from nodes.process import assert_same_states, Graph, LATCHED, Process, rollout, Track
 import pytest
-from shepherd_ros.sim.lidar import CHANNELS
+from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.episode import Episode
@@ -130,7 +130,7 @@ def test_a_world_that_waits_for_scans_names_the_missing_lidar(graph: Graph) -> N
     )
     graph.until_status(
         'flock_sim: commands',
-        'no answer on ' + ', '.join(f'shepherd_0/scan/{c}' for c in CHANNELS),
+        'no answer on ' + ', '.join(f'shepherd_0/scan/{c}' for c in PAPER_CHANNELS),
     )
     assert_stands(graph, track)
     other = graph.host('lidar', '-r', '__node:=other', shepherd_ids=[0])

@@ -17,7 +17,8 @@ from nodes.process import (
 import numpy as np
 import pytest
 from sensor_msgs.msg import LaserScan
-from shepherd_ros.sim.lidar import CHANNELS, LidarConfig, scan
+from shepherd_ros.sim.lidar import LidarConfig, scan
+from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.presets import training_world, world_preset
@@ -74,13 +75,13 @@ def test_scans_and_metrics_over_topics_are_those_of_the_core(
     scans: dict[tuple[int, int], list[Any]] = {
         (h, c): graph.collect(f'shepherd_{h}/scan/{channel}', LaserScan, BEST_EFFORT)
         for h in range(3)
-        for c, channel in enumerate(CHANNELS)
+        for c, channel in enumerate(PAPER_CHANNELS)
     }
     values = {name: graph.collect(f'metrics/{name}', Float64) for name in METRICS}
     track = graph.track()
     graph.start('metrics', executor=executor)
     graph.start('lidar', executor=executor, shepherd_ids=[0, 1, 2], noise_std=noise_std)
-    topics = [f'shepherd_{h}/scan/{c}' for h in range(3) for c in CHANNELS]
+    topics = [f'shepherd_{h}/scan/{c}' for h in range(3) for c in PAPER_CHANNELS]
     topics += [f'metrics/{name}' for name in METRICS]
     graph.until(lambda: all(map(graph.node.count_publishers, topics)), 'lidar and metrics')
     graph.start(
@@ -117,7 +118,7 @@ def test_scans_and_metrics_over_topics_are_those_of_the_core(
         assert sorted(ranges) == track.stamps
         for ns, state in zip(track.stamps, states, strict=True):
             expected = scan(perceive(state, noise_std), LidarConfig())[h, c].numpy()
-            assert np.array_equal(ranges[ns], expected), f'{h} {CHANNELS[c]} at {ns}'
+            assert np.array_equal(ranges[ns], expected), f'{h} {PAPER_CHANNELS[c]} at {ns}'
 
 
 @pytest.mark.parametrize('controller', ['strombom', 'pierson'])

@@ -18,7 +18,8 @@ import numpy as np
 from rosbags.typesys import get_typestore, Stores
 from shepherd_ros.rosbag2.qos import Qos
 from shepherd_ros.rosbag2.writer import BagWriter
-from shepherd_ros.sim.lidar import CHANNELS, LidarConfig, scan
+from shepherd_ros.sim.lidar import LidarConfig, scan
+from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import step
@@ -174,7 +175,7 @@ def recording(steps: int = STEPS) -> tuple[tuple[Sent, ...], tuple[Truth, ...]]:
             send('/flock/poses', 'PoseArray', poses(ns, state.sheep.numpy(), heading))
             ranges = scan(state, lidar).numpy()
             for h in range(N_SHEPHERDS):
-                for row, channel in zip(ranges[h], CHANNELS, strict=True):
+                for row, channel in zip(ranges[h], PAPER_CHANNELS, strict=True):
                     data = scan_of(ns, row, f'shepherd_{h}')
                     send(f'/shepherd_{h}/scan/{channel}', 'LaserScan', data)
             for h, (x, y) in enumerate(command.tolist()):

@@ -12,7 +12,8 @@ import pytest
 from reference import assert_near, batch, lidar, make_state, moved, padded, state_of, World
 from shepherd_ros.config import ConfigError
 from shepherd_ros.sim import compiled
-from shepherd_ros.sim.lidar import cast_rays, CHANNELS, LidarConfig, scan, TOUCHING
+from shepherd_ros.sim.lidar import cast_rays, LidarConfig, scan, TOUCHING
+from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor
@@ -200,7 +201,7 @@ def test_a_mask_takes_discs_away() -> None:
 
 
 def test_channels_are_sheep_then_shepherds_then_goal_and_no_shepherd_sees_itself() -> None:
-    assert CHANNELS == ('sheep', 'shepherds', 'goal')
+    assert PAPER_CHANNELS == ('sheep', 'shepherds', 'goal')
     ranges = scan(ray_scene(), LidarConfig(n_rays=16))
     assert ranges.shape == (2, 3, 16)
     assert_near(ranges[0, :, 0], [4.5, 9.5, NONE], 1e-9)

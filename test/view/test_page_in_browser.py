@@ -13,13 +13,14 @@ from selenium import webdriver
 from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
-from shepherd_ros.view.animation import HITS
+from shepherd_ros.sim.lidar_layout import CHANNELS
 from shepherd_ros.view.page import write_page
 from shepherd_ros.view.scene import GOAL_FILL, SHEEP, shepherd_color
 from view.browser import chromium, Reader
 from view.pages import curves, herding, scans, wandering
 
 pytestmark = pytest.mark.xdist_group('browser')  # one browser for all
+HITS = [channel.hit for channel in CHANNELS.values()]
 LAST = 200  # step
 AREA = """
 const box = document.getElementById('curves'), {l, w} = box._fullLayout._size;
@@ -118,7 +119,7 @@ def test_the_lidar_of_one_shepherd_is_shown_and_channels_are_taken_away(page: Re
     assert [o.text for o in whose.options] == ['none', *(f'shepherd {h}' for h in range(3))]
     assert [page.color(end) for end in ends] == ['', '', '']  # the first one is chosen
     whose.select_by_visible_text('shepherd 2')
-    assert [page.color(end) for end in ends] == list(HITS)
+    assert [page.color(end) for end in ends] == HITS
     boxes = page.driver.find_elements(By.CSS_SELECTOR, '#channels input')
     boxes[1].click()
     assert [page.color(end) for end in ends] == [HITS[0], '', HITS[2]]
