@@ -160,10 +160,8 @@ def require_fit(steps: Steps, config: PolicyConfig) -> None:
     """Raise ConfigError if steps were recorded with another time step or lidar."""
     if steps.dt != config.dt:
         raise ConfigError(f'{steps.where}: dt is {steps.dt} s, expected {config.dt} s')
-    if len(steps) and steps.n_rays != config.lidar.n_rays:
-        raise ConfigError(
-            f'{steps.where}: scans have {steps.n_rays} rays, expected {config.lidar.n_rays}'
-        )
+    if len(steps):
+        steps.layout.require(config.lidar.layout, steps.where)
 
 
 def stream_examples(

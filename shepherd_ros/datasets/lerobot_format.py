@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pyarrow as pa  # type: ignore[import-untyped]
-from shepherd_ros.wire.contract import CHANNELS
+from shepherd_ros.sim.lidar_layout import ScanLayout
 
 FORMAT = 'shepherd_ros data set 1'
 DATA = 'data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet'
@@ -50,11 +50,11 @@ RUNS = pa.schema(
 )
 
 
-def features(n_rays: int) -> dict[str, Any]:
+def features(layout: ScanLayout) -> dict[str, Any]:
     """Return what each column is, as LeRobot says it."""
     whole = {name: ('int64', [1], None) for name in ROWS.names[3:]}
     columns = {
-        LIDAR: ('float32', [len(CHANNELS), n_rays], ['channel', 'ray']),
+        LIDAR: ('float32', list(layout.shape), ['channel', 'ray']),
         ACTION: ('float32', [2], ['x', 'y']),
         'timestamp': ('float32', [1], None),
         **whole,

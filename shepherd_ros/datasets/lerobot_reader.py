@@ -27,8 +27,8 @@ from shepherd_ros.datasets.lerobot_format import (
 )
 from shepherd_ros.datasets.steps import Steps
 from shepherd_ros.rosbag2.errors import BagError
+from shepherd_ros.sim.lidar_layout import in_order, PAPER_CHANNELS, ScanLayout
 from shepherd_ros.sim.limits import MAX_SHEEP, MAX_SHEPHERDS, MAX_STEPS
-from shepherd_ros.wire.contract import CHANNELS
 
 FIX = 'build it again with `shepherd dataset build`'
 LARGEST_NOTE = 16 << 20  # [bytes] of a JSON file
@@ -55,7 +55,7 @@ class Dataset:
 
     folder: Path
     dt: float  # s
-    n_rays: int
+    layout: ScanLayout
     labels: str  # namespace of the commands
     runs: dict[str, np.ndarray]  # columns (E,) of meta/episodes
     names: list[str]  # of the bag of each run
@@ -97,6 +97,7 @@ class Dataset:
             dt=self.dt,
             step=step[order],
             shepherd=shepherd[order],
+            channels=self.layout.channels,
             lidar=np.concatenate([lidar for lidar, _ in tables])[order],
             action=np.concatenate([action for _, action in tables])[order],
         )
@@ -107,7 +108,7 @@ class Dataset:
             yield range(chosen.start + part.start, chosen.start + part.stop)
 
     def _read(self, chosen: range) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield scans (n, 3, R) m and actions (n, 2) m/s of runs in one file, in row groups."""
+        """Yield scans (n, C, R) m and actions (n, 2) m/s of runs in one file, in row groups."""
         number = self.files[chosen.start]
         chunk, file = divmod(int(number), CHUNK_SIZE)
         path = self.folder / DATA.format(chunk_index=chunk, file_index=file)
@@ -127,7 +128,7 @@ class Dataset:
             raise BagError(path, what, FIX)
         names = [LIDAR, ACTION, 'episode_index', 'frame_index']
         table = source.read_row_group(place, names, use_threads=False)
-        lidar = _floats(table[LIDAR], (count, len(CHANNELS), self.n_rays), path)
+        lidar = _floats(table[LIDAR], (count, *self.layout.shape), path)
         action = _floats(table[ACTION], (count, 2), path)
         numbers = [_numbers(table[name], path) for name in names[2:]]
         if np.isnan(lidar).any() or not np.isfinite(action).all():
@@ -159,7 +160,7 @@ def open_dataset(folder: Path) -> Dataset:
             raise BagError(path, f'{name} is {value}, expected {low} to {high}', FIX)
     count = np.arange(len(bags))
     ends = np.cumsum(runs['length'])
-    found = Dataset(folder, about['dt'], about['n_rays'], about['labels'], runs, bags)
+    found = Dataset(folder, about['dt'], about['layout'], about['labels'], runs, bags)
     if not (
         (np.diff(found.files) >= 0).all()
         and np.array_equal(runs['episode_index'], count)
@@ -187,7 +188,11 @@ def _about(folder: Path) -> dict[str, Any]:
         raise BagError(path, f'dt is {dt!r:.40} s and labels {labels!r:.40}', FIX)
     if not (isinstance(rays, int) and 0 <= rays <= LARGEST_RAYS):
         raise BagError(path, f'n_rays is {rays!r:.40}, expected 0 to {LARGEST_RAYS}', FIX)
-    return about
+    channels = about.get('channels', list(PAPER_CHANNELS))
+    words = isinstance(channels, list) and all(isinstance(name, str) for name in channels)
+    if not words or channels != list(in_order(channels)):
+        raise BagError(path, f'channels are {channels!r:.80}, expected names in order', FIX)
+    return about | {'layout': ScanLayout(tuple(channels), rays)}
 
 
 @contextmanager

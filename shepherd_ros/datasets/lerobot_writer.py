@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 import json
+import math
 from pathlib import Path
 import shutil
 from types import TracebackType
@@ -40,7 +41,7 @@ from shepherd_ros.datasets.lerobot_format import (
 from shepherd_ros.datasets.running_stats import Spread
 from shepherd_ros.datasets.steps import Steps
 from shepherd_ros.rosbag2.errors import BagError
-from shepherd_ros.wire.contract import CHANNELS
+from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS, ScanLayout
 
 
 class DatasetWriter:
@@ -56,13 +57,13 @@ class DatasetWriter:
             raise BagError(folder, 'it exists already', 'choose another folder or remove this one')
         self.folder, self.labels, self.file_size = folder, labels, file_size
         self.part = folder.with_name(f'.{folder.name}.part')
-        self.dt, self.n_rays = 0.0, 0
+        self.dt, self.layout = 0.0, ScanLayout(PAPER_CHANNELS, 0)
         self.rows, self.runs, self.files, self.bags = 0, 0, 0, 0
         self._bag = ''
         self._in_file = 0  # [bytes]
         self._data: Any = None
         self._kept: list[dict[str, Any]] = []  # of meta/episodes, not written yet
-        self._ranges, self._actions = Spread(len(CHANNELS)), Spread(2)
+        self._ranges, self._actions = Spread(len(PAPER_CHANNELS)), Spread(2)
         try:
             shutil.rmtree(self.part, ignore_errors=True)
             (self.part / EPISODES).parent.mkdir(parents=True)
@@ -96,15 +97,16 @@ class DatasetWriter:
         if not len(steps):
             return
         if not self.rows:
-            self.dt, self.n_rays = steps.dt, steps.n_rays
-        if (steps.dt, steps.n_rays) != (self.dt, self.n_rays):
+            self.dt, self.layout = steps.dt, steps.layout
+            self._ranges = Spread(len(steps.channels))
+        if (steps.dt, steps.layout) != (self.dt, self.layout):
             raise BagError(
                 steps.where,
-                f'dt is {steps.dt} s and a scan has {steps.n_rays} rays, '
-                f'expected {self.dt} s and {self.n_rays} as in the bags before',
+                f'dt is {steps.dt} s and a scan has {steps.layout.n_rays} rays, '
+                f'expected {self.dt} s and {self.layout.n_rays} as in the bags before',
                 'build a data set of each kind',
             )
-        self._ranges.add(steps.lidar.swapaxes(1, 2).reshape(-1, len(CHANNELS)))
+        self._ranges.add(steps.lidar.swapaxes(1, 2).reshape(-1, len(steps.channels)))
         self._actions.add(steps.action)
         try:
             for chosen in runs(steps):
@@ -127,7 +129,7 @@ class DatasetWriter:
 
     def _add_run(self, steps: Steps, chosen: np.ndarray) -> None:
         """Write a run of steps as an episode of LeRobot, which is a row group."""
-        size = len(chosen) * (len(CHANNELS) * self.n_rays + 2) * 4
+        size = len(chosen) * (math.prod(self.layout.shape) + 2) * 4
         if self._data is not None and self._in_file + size > self.file_size:
             self._end_file()
         chunk, file = divmod(self.files, CHUNK_SIZE)
@@ -152,12 +154,13 @@ class DatasetWriter:
 
     def _table(self, steps: Steps, chosen: np.ndarray) -> pa.Table:
         """Return the rows of a run."""
-        n, ends = len(chosen), len(CHANNELS) * len(chosen)
+        n, (types, n_rays) = len(chosen), self.layout.shape
+        ends = types * n
         values = pa.array(steps.lidar[chosen].ravel())
         rays = pa.ListArray.from_arrays(
-            pa.array(np.arange(ends + 1, dtype=np.int32) * self.n_rays), values
+            pa.array(np.arange(ends + 1, dtype=np.int32) * n_rays), values
         )
-        channels = np.arange(n + 1, dtype=np.int32) * len(CHANNELS)
+        channels = np.arange(n + 1, dtype=np.int32) * types
         frame = np.arange(n)
         columns = (
             pa.ListArray.from_arrays(pa.array(channels), rays),
@@ -194,11 +197,12 @@ class DatasetWriter:
             'splits': {'train': f'0:{self.runs}'},
             'data_path': DATA,
             'video_path': None,
-            'features': features(self.n_rays),
+            'features': features(self.layout),
         }
         about = {
-            'format': FORMAT, 'version': __version__, 'dt': self.dt, 'n_rays': self.n_rays,
-            'labels': self.labels, 'bags': self.bags, 'report': dict(report),
+            'format': FORMAT, 'version': __version__, 'dt': self.dt, 'n_rays': self.layout.n_rays,
+            'channels': list(self.layout.channels), 'labels': self.labels, 'bags': self.bags,
+            'report': dict(report),
         }  # fmt: skip
         ranges = {k: [[x] for x in v] for k, v in self._ranges.to_dict().items()}
         stats: dict[str, Any] = {LIDAR: ranges, ACTION: self._actions.to_dict()}

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from shepherd_ros.config import ConfigError
 from shepherd_ros.datasets.running_stats import Spread
 from shepherd_ros.datasets.steps import Steps
-from shepherd_ros.wire.contract import CHANNELS
+from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 
 
 @dataclass
@@ -25,7 +26,8 @@ class Report:
     sheep: Counter[int] = field(default_factory=Counter)  # flock -> episodes
     shepherds: Counter[int] = field(default_factory=Counter)  # team -> episodes
     speed: Spread = field(default_factory=lambda: Spread(1))  # m/s, of whole steps
-    returns: Spread = field(default_factory=lambda: Spread(len(CHANNELS)))  # share of the rays
+    channels: tuple[str, ...] = PAPER_CHANNELS
+    returns: Spread = field(default_factory=lambda: Spread(len(PAPER_CHANNELS)))  # share of rays
 
     def drop(self, reason: str, where: str, count: int = 1) -> None:
         """Count steps that are no example."""
@@ -44,6 +46,13 @@ class Report:
         self.sheep[steps.n_sheep] += 1
         self.shepherds[steps.n_shepherds] += 1
         self.speed.add(np.linalg.norm(steps.action.astype(np.float64), axis=1)[:, None])
+        if steps.channels != self.channels:
+            if self.returns.count.any():
+                raise ConfigError(
+                    f'{steps.where}: scans have channels {", ".join(steps.channels)}, expected '
+                    f'{", ".join(self.channels)} as in the bags before; take bags of one kind'
+                )
+            self.channels, self.returns = steps.channels, Spread(len(steps.channels))
         if len(steps):
             self.returns.add(np.isfinite(steps.lidar).mean(axis=2))
 
@@ -59,7 +68,7 @@ class Report:
             'speed': {name: values[0] for name, values in self.speed.to_dict().items()},
             'returns': {
                 channel: {name: values[k] for name, values in shares.items()}
-                for k, channel in enumerate(CHANNELS)
+                for k, channel in enumerate(self.channels)
             },
             'episodes_by_shepherds': dict(sorted(self.shepherds.items())),
             'episodes_by_sheep': dict(sorted(self.sheep.items())),

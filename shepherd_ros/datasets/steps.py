@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from shepherd_ros.config import ConfigError
 from shepherd_ros.recordings.episodes import RecordedEpisode
-from shepherd_ros.wire.contract import CHANNELS
+from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS, ScanLayout
 from shepherd_ros.wire.decode import Floats, Ranges
 
 Refuse = Callable[[str, str, int], None]  # reason, place of the first, steps of single shepherds
@@ -32,17 +32,18 @@ class Steps:
     dt: float  # s
     step: NDArray[np.int64]  # (n,)
     shepherd: NDArray[np.int64]  # (n,)
-    lidar: NDArray[np.float32]  # (n, 3, R) m, +inf for no return
+    lidar: NDArray[np.float32]  # (n, C, R) m, +inf for no return
     action: NDArray[np.float32]  # (n, 2) m/s, world frame
+    channels: tuple[str, ...] = PAPER_CHANNELS  # C
 
     def __len__(self) -> int:
         """Return how many there are."""
         return len(self.step)
 
     @property
-    def n_rays(self) -> int:
-        """Return the rays of a channel, 0 if there is no step."""
-        return self.lidar.shape[-1]
+    def layout(self) -> ScanLayout:
+        """Return channels and rays of the scans, 0 rays if there is no step."""
+        return ScanLayout(self.channels, self.lidar.shape[-1])
 
     @property
     def where(self) -> str:
@@ -73,7 +74,7 @@ def steps_of(episode: RecordedEpisode, bag: str, number: int, refuse: Refuse) ->
                     f'expected {kept[0][2].shape[-1]} as before; record one lidar at a time'
                 )
             kept.append((frame.step, h, scan, command))
-    nothing = np.zeros((0, len(CHANNELS), 0), np.float32)
+    nothing = np.zeros((0, len(episode.channels), 0), np.float32)
     return Steps(
         bag=bag,
         episode=number,
@@ -83,6 +84,7 @@ def steps_of(episode: RecordedEpisode, bag: str, number: int, refuse: Refuse) ->
         dt=episode.dt,
         step=np.array([row[0] for row in kept], np.int64),
         shepherd=np.array([row[1] for row in kept], np.int64),
+        channels=episode.channels,
         lidar=np.stack([row[2] for row in kept]).astype(np.float32) if kept else nothing,
         action=np.array([row[3] for row in kept], np.float32).reshape(-1, 2),
     )

@@ -18,7 +18,7 @@ from shepherd_ros.ros.intra_process import Output
 from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.ros.parameters import declare_config
 from shepherd_ros.ros.runtime import run
-from shepherd_ros.ros.scan_subscriber import ScanListener
+from shepherd_ros.ros.scan_subscriber import ScanListener, THROTTLE
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_command, encode_twist
 from shepherd_ros.wire.episode import Episode
@@ -26,6 +26,7 @@ import torch
 from torch import Tensor
 
 TIMED = 1000  # last answers whose latency is kept
+PATIENCE = 1.0  # [s] without a whole scan until it is asked which channels there are
 
 
 class PolicyNode(ShepherdNode):
@@ -58,6 +59,7 @@ class PolicyNode(ShepherdNode):
         self.max_speed = 0.0  # [m/s]
         self.present: list[int] = []
         self.refused = ''
+        self.absent: list[str] = []  # scans that no lidar publishes
         self.memory: Memory = {}
         self.newest = torch.empty(0)  # last ranges (H, C, R) m of those present
         self.last: tuple[int, Tensor] | None = None
@@ -149,7 +151,15 @@ class PolicyNode(ShepherdNode):
             self.outputs[h].publish(stamped if self.stamped else encode_twist(x, y))
 
     def _watch(self) -> None:
-        """In real time, stop the shepherds when their scans stop."""
+        """Tell of channels that do not exist; in real time, stop the shepherds without scans."""
+        silent = self.wall() - self.heard > PATIENCE
+        self.absent = self.scans.unpublished() if silent else []
+        if self.absent:
+            self.get_logger().error(
+                f'no lidar publishes {", ".join(self.absent)}, which the checkpoint needs: start '
+                'it with the option others, or choose another checkpoint',
+                throttle_duration_sec=THROTTLE,
+            )
         episode, last = self.episode, self.last
         if episode is None or episode.mode == 'lockstep' or last is None or self.stale:
             return
@@ -165,6 +175,8 @@ class PolicyNode(ShepherdNode):
         level, message = OK, 'commanding'
         if self.refused:
             level, message = ERROR, f'checkpoint does not fit: {self.refused}'
+        elif self.absent:
+            level, message = ERROR, f'no lidar publishes {", ".join(self.absent)}'
         elif self.stale:
             level, message = WARN, 'scans have stopped: commanding zero'
         elif self.last is None:

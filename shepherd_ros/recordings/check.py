@@ -13,7 +13,7 @@ from shepherd_ros.recordings.grouping import (
     Group,
     Groups,
     namespaces,
-    SCANS,
+    SCAN,
     SHEEP,
     SHEPHERDS,
     State,
@@ -21,8 +21,8 @@ from shepherd_ros.recordings.grouping import (
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.reader import Bag
 from shepherd_ros.rosbag2.writer import CONTRACT_KEY, LOST_KEY, TOPICS_KEY
+from shepherd_ros.sim.lidar_layout import in_order
 from shepherd_ros.wire.contract import (
-    CHANNELS,
     contract_hash,
     known,
     known_text,
@@ -106,13 +106,13 @@ def _check_namespace(
     bag: Bag, namespace: str, require: Collection[str], result: CheckResult
 ) -> None:
     groups = Groups(bag, namespace)
-    recorded = {
-        (ours.topic.name, ours.shepherd)
-        for name, ours in groups.wanted.items()
-        if bag.topics[name].count
-    }
-    scanned = {h for name, h in recorded if name in SCANS and h is not None}
-    commanded = any(name == COMMANDS for name, _ in recorded)
+    recorded = [ours for name, ours in groups.wanted.items() if bag.topics[name].count]
+    channels: dict[int, list[str]] = {}
+    for ours in recorded:
+        if ours.topic.name.startswith(SCAN) and ours.shepherd is not None:
+            channels.setdefault(ours.shepherd, []).append(ours.topic.name.removeprefix(SCAN))
+    scanned = {h: in_order(names) for h, names in channels.items()}
+    commanded = any(ours.topic.name == COMMANDS for ours in recorded)
     for part, there in (('scans', bool(scanned)), ('commands', commanded)):
         if not there:
             result.absent.append(f'{namespace} {part}'.strip())
@@ -135,7 +135,7 @@ class _Expected:
     """What every state of a namespace should have."""
 
     namespace: str
-    scanned: set[int]  # shepherds with a lidar
+    scanned: dict[int, tuple[str, ...]]  # channels of shepherds with a lidar
     commanded: bool
 
     def missing(self, state: State, n_shepherds: int, answered: bool) -> Iterator[str]:
@@ -145,9 +145,9 @@ class _Expected:
         if state.shepherds is None:
             yield f'{self.namespace}/{SHEPHERDS}'
         for h in range(n_shepherds):
-            for channel, name in enumerate(SCANS if h in self.scanned else ()):
+            for channel in self.scanned.get(h, ()):
                 if (h, channel) not in state.scans:
-                    yield f'{self.namespace}/{name.format(h=h)}'
+                    yield f'{self.namespace}/{SCAN.format(h=h)}{channel}'
         for h in range(n_shepherds if self.commanded and answered else 0):
             if h not in state.commands:
                 yield f'{self.namespace}/{COMMANDS.format(h=h)}'
@@ -199,7 +199,7 @@ def _counts(group: Group, state: State, place: tuple[int, int, int]) -> Iterator
         if poses is not None and len(poses.xy) != count:
             yield Finding('count', f'{len(poses.xy)} poses, expected {count}', *place, name)
     for h in range(info.n_shepherds):
-        sizes = {len(state.scans.get((h, c), ())) for c in range(len(CHANNELS))} - {0}
+        sizes = {len(state.scans.get((h, c), ())) for c in group.channels} - {0}
         if len(sizes) > 1:
             what = f'channels of {sorted(sizes)} rays'
             yield Finding('count', what, *place, f'shepherd_{h}/scan')

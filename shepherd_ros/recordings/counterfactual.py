@@ -14,6 +14,7 @@ from shepherd_ros.recordings.record import drive, EpisodeBag
 from shepherd_ros.recordings.replay import metrics_over_time, states_of
 from shepherd_ros.recordings.replay_check import core_answers
 from shepherd_ros.sim.lidar import LidarConfig
+from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.rollout import arrive, EnvConfig, Moment, start
@@ -47,7 +48,7 @@ def record_future(
             commands = [None if c is None else c.tolist() for c in frame.commands]
             row = {name: float(values[name][0]) for name in METRICS}
             seen, state, before = ranges_of(frame, moment), moment.state, moment.before
-            bag.step(state.world(0), before.world(0), seen, commands, row, config.lidar.range_max)
+            bag.step(state.world(0), before.world(0), seen, commands, row, config.lidar)
             moment = arrive(moment, states.world(slice(t + 1, t + 2)))
             on_step(1)
         goals = {frame.step: goal for frame, goal in zip(episode.frames, states.goal, strict=True)}
@@ -77,11 +78,12 @@ def memory_at(
 def lidar_of(episode: RecordedEpisode) -> LidarConfig:
     """Return the lidar of the scans, the default one if there are none."""
     rays = {s.shape[-1] for frame in episode.frames for s in frame.scans if s is not None}
-    return replace(LidarConfig(), n_rays=rays.pop()) if len(rays) == 1 else LidarConfig()
+    others = ','.join(set(episode.channels) - set(PAPER_CHANNELS))
+    return LidarConfig(n_rays=rays.pop(), others=others) if len(rays) == 1 else LidarConfig()
 
 
 def ranges_of(frame: Frame, moment: Moment) -> list[np.ndarray]:
-    """Return the recorded scans of a world (1), those that are missing cast; (3, R) m each."""
+    """Return the recorded scans of a world (1), those that are missing cast; (C, R) m each."""
     recorded = [s for s in frame.scans if s is not None]
     if len(recorded) == len(frame.scans):
         return recorded

@@ -11,7 +11,7 @@ import numpy as np
 from shepherd_ros.recordings.grouping import Group, Groups, namespaces, State
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.reader import Bag
-from shepherd_ros.wire.contract import CHANNELS
+from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.wire.decode import Floats, Ranges
 from shepherd_ros.wire.episode import Episode
 
@@ -27,7 +27,7 @@ class Frame:
     shepherds: Floats  # (H, 2) m
     shepherd_heading: Floats  # (H, 2) unit vectors, direction of the last move
     goal: Floats | None  # (2,) m, None if it was not recorded
-    scans: list[Ranges | None]  # for each shepherd (3, R) m, +inf for no return
+    scans: list[Ranges | None]  # for each shepherd (C, R) m, +inf for no return
     commands: list[Floats | None]  # for each shepherd (2,) m/s
 
 
@@ -36,6 +36,7 @@ class RecordedEpisode(Episode):
     """An episode with all states that were recorded in full."""
 
     frames: list[Frame] = field(default_factory=list)
+    channels: tuple[str, ...] = PAPER_CHANNELS  # of the scans
 
     @cached_property
     def whole(self) -> bool:
@@ -103,14 +104,14 @@ def episode_of(bag: Bag, group: Group) -> RecordedEpisode:
             )
         )
     about = {f.name: getattr(info, f.name) for f in fields(info)}
-    return RecordedEpisode(**about, frames=frames)
+    return RecordedEpisode(**about, frames=frames, channels=group.channels)
 
 
 def _scan(bag: Bag, group: Group, step: int, state: State, shepherd: int) -> Ranges | None:
-    """Return the channels of a scan (3, R) m, None unless all are there."""
-    rows = [state.scans.get((shepherd, channel)) for channel in range(len(CHANNELS))]
+    """Return the channels of a scan (C, R) m, None unless all are there."""
+    rows = [state.scans.get((shepherd, channel)) for channel in group.channels]
     there = [row for row in rows if row is not None]
-    if len(there) < len(CHANNELS):
+    if len(there) < len(rows):
         return None
     if len({len(row) for row in there}) > 1:
         raise BagError(

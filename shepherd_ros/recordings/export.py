@@ -11,10 +11,10 @@ import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
 from pyarrow import csv, parquet
 from shepherd_ros.config import unknown_name
-from shepherd_ros.recordings.episodes import Frame, iter_episodes, RecordedEpisode
+from shepherd_ros.recordings.episodes import Frame, iter_episodes, one_namespace, RecordedEpisode
+from shepherd_ros.recordings.grouping import Groups
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.reader import Bag
-from shepherd_ros.wire.contract import CHANNELS
 
 FORMATS = ('parquet', 'csv')
 _KEY = [('episode', pa.int64()), ('step', pa.int64()), ('stamp_ns', pa.int64())]
@@ -32,10 +32,16 @@ SCHEMAS = {
         [*_KEY, ('kind', pa.string()), ('index', pa.int64()), *_XY, *_HEADING, *_GOAL]
     ),
     'scans': pa.schema(
-        [*_KEY, ('shepherd', pa.int64()), *((c, pa.list_(pa.float32())) for c in CHANNELS)]
+        [*_KEY, ('shepherd', pa.int64())]  # and a column for each channel
     ),
     'commands': pa.schema([*_KEY, ('shepherd', pa.int64()), *_XY]),
 }  # fmt: skip
+
+
+def schemas_of(channels: tuple[str, ...]) -> dict[str, pa.Schema]:
+    """Return the columns of the tables, with one of scans for each channel."""
+    ranges = [pa.field(name, pa.list_(pa.float32())) for name in channels]
+    return SCHEMAS | {'scans': pa.schema([*SCHEMAS['scans'], *ranges])}
 
 
 @dataclass(frozen=True)
@@ -66,8 +72,9 @@ def export_bag(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with ExitStack() as stack:
+            schemas = schemas_of(Groups(bag, one_namespace(bag, namespace)).channels)
             sinks = {
-                name: stack.enter_context(_sink(path, kind, SCHEMAS[name]))
+                name: stack.enter_context(_sink(path, kind, schemas[name]))
                 for name, path in paths.items()
             }
             for index, episode in enumerate(iter_episodes(bag, namespace)):
@@ -120,7 +127,7 @@ def tables(index: int, episode: RecordedEpisode) -> dict[str, pa.Table]:
         'scans': {
             **_key(index, [frame for frame, _, _ in scanned]),
             'shepherd': [h for _, h, _ in scanned],
-            **{c: [s[k] for _, _, s in scanned] for k, c in enumerate(CHANNELS)},
+            **{c: [s[k] for _, _, s in scanned] for k, c in enumerate(episode.channels)},
         },
         'commands': {
             **_key(index, [frame for frame, _, _ in answered]),
@@ -128,7 +135,8 @@ def tables(index: int, episode: RecordedEpisode) -> dict[str, pa.Table]:
             'x': [c[0] for _, _, c in answered], 'y': [c[1] for _, _, c in answered],
         },
     }  # fmt: skip
-    return {name: pa.table(columns[name], schema=schema) for name, schema in SCHEMAS.items()}
+    schemas = schemas_of(episode.channels)
+    return {name: pa.table(columns[name], schema=schema) for name, schema in schemas.items()}
 
 
 def _key(index: int, frames: list[Frame]) -> dict[str, list[int]]:

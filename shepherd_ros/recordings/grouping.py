@@ -16,15 +16,16 @@ from typing import Any
 from shepherd_ros.config import ConfigError
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.reader import Bag, BagMessage
-from shepherd_ros.wire.contract import CHANNELS, Known, known
+from shepherd_ros.sim.lidar_layout import in_order, PAPER_CHANNELS
+from shepherd_ros.wire.contract import Known, known
 from shepherd_ros.wire.decode import CdrError, DECODERS, Floats, Poses, Ranges, Vector
 from shepherd_ros.wire.episode import Episode
 
 SHEEP, SHEPHERDS = 'flock/poses', 'shepherds/poses'
-SCANS = tuple(f'shepherd_{{h}}/scan/{channel}' for channel in CHANNELS)
+SCAN = 'shepherd_{h}/scan/'  # and the name of a channel
 COMMANDS, GOAL, EPISODE = 'shepherd_{h}/cmd_vel', 'goal', 'episode'
 STATES = (SHEEP, SHEPHERDS)
-ALL = (*STATES, *SCANS, COMMANDS, GOAL)
+ALL = (*STATES, SCAN, COMMANDS, GOAL)
 SETTLED = 2  # an episode ends for good when the next one has a state with this step
 
 
@@ -34,7 +35,7 @@ class State:
 
     sheep: Poses | None = None
     shepherds: Poses | None = None
-    scans: dict[tuple[int, int], Ranges] = field(default_factory=dict)  # by shepherd, channel
+    scans: dict[tuple[int, str], Ranges] = field(default_factory=dict)  # by shepherd, channel
     commands: dict[int, Floats] = field(default_factory=dict)  # by shepherd
     raw: dict[str, bytes] = field(default_factory=dict)  # poses and scans by topic, if kept
 
@@ -44,6 +45,7 @@ class Group:
     """An episode as it was recorded."""
 
     info: Episode
+    channels: tuple[str, ...] = PAPER_CHANNELS  # of the scans
     states: dict[int, State] = field(default_factory=dict)  # by step
     goals: list[tuple[int, Floats]] = field(default_factory=list)  # stamp [ns], position (2,) m
     disorder: list[tuple[str, int]] = field(default_factory=list)  # topic, stamp that goes back
@@ -116,7 +118,7 @@ class Groups:
             for name in bag.topics
             for ours in [known(name)]
             if ours
-            and ours.topic.name in parts
+            and (SCAN if ours.topic.name.startswith(SCAN) else ours.topic.name) in parts
             and ours.namespace == (said if ours.topic.name == COMMANDS else namespace)
         }
         if labels and not any(ours.topic.name == COMMANDS for ours in self.wanted.values()):
@@ -126,9 +128,17 @@ class Groups:
                 'use labels of a recording that has them, such as those of train dagger --visited',
             )
 
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Return the channels that the scans have."""
+        names = (
+            ours.topic.name for name, ours in self.wanted.items() if self.bag.topics[name].count
+        )
+        return in_order(name.removeprefix(SCAN) for name in names if name.startswith(SCAN))
+
     def __iter__(self) -> Iterator[Group]:
         """Yield one episode after another."""
-        sorter = _Sorter(announced(self.bag, self.namespace))
+        sorter = _Sorter(announced(self.bag, self.namespace), self.channels)
         for message in self.bag.messages(self.wanted):
             yield from sorter.begin_until(message.log_ns)
             ours = self.wanted[message.topic]
@@ -142,8 +152,8 @@ class Groups:
 class _Sorter:
     """Keeps the episodes that are not settled."""
 
-    def __init__(self, infos: list[tuple[int, Episode]]) -> None:
-        self.coming = list(reversed(infos))
+    def __init__(self, infos: list[tuple[int, Episode]], channels: tuple[str, ...]) -> None:
+        self.coming, self.channels = list(reversed(infos)), channels
         self.open: list[Group] = []  # the present one last
         self.early = 0  # of the open ones, how many at the end are not announced yet
         self.now: int | None = None  # stamp of the latest state
@@ -160,7 +170,7 @@ class _Sorter:
                 # said to those who were silent, or of a world started anew
                 self.again = len(self.open[-1].goals)
                 continue
-            self.open.append(Group(info))
+            self.open.append(Group(info, self.channels))
             self.again = None
         last = self.open[-1] if self.open else None
         keep = 1 if last is not None and last.last_step >= SETTLED else 2
@@ -179,7 +189,7 @@ class _Sorter:
         label = name.replace('{h}', str(ours.shepherd))
         back = name in STATES and stamp_ns < group.latest.get(label, 0)
         if back and self.again is not None and group is self.open[-1]:
-            self.open.append(Group(group.info, goals=group.goals[self.again :]))
+            self.open.append(Group(group.info, self.channels, goals=group.goals[self.again :]))
             del group.goals[self.again :]
             group, self.again = self.open[-1], None
         if name == GOAL:
@@ -207,7 +217,7 @@ class _Sorter:
                 return group
         if self.coming and not self.early and self.coming[-1][1].has(stamp_ns):
             # on its way to the recorder the announcement was overtaken
-            self.open.append(Group(self.coming[-1][1]))
+            self.open.append(Group(self.coming[-1][1], self.channels))
             self.early += 1
             return self.open[-1]
         return None
@@ -222,4 +232,4 @@ def _put(state: State, name: str, shepherd: int | None, content: Any) -> None:
     elif shepherd is not None and name == COMMANDS:
         state.commands.setdefault(shepherd, content.xy)
     elif shepherd is not None:
-        state.scans.setdefault((shepherd, SCANS.index(name)), content.ranges)
+        state.scans.setdefault((shepherd, name.removeprefix(SCAN)), content.ranges)

@@ -10,7 +10,7 @@ import numpy as np
 from shepherd_ros.controllers.base import Controller, Memory
 from shepherd_ros.rosbag2.qos import Qos
 from shepherd_ros.rosbag2.writer import BagWriter
-from shepherd_ros.sim.lidar import CHANNELS
+from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.rollout import advance, EnvConfig, Moment, start
 from shepherd_ros.sim.spawn import spawn
@@ -61,13 +61,13 @@ class EpisodeBag:
         ranges: Sequence[np.ndarray | None],
         commands: Sequence[Sequence[float] | None],
         metrics: Mapping[str, float],
-        range_max: float,
+        lidar: LidarConfig,
         labels: tuple[str, Sequence[Sequence[float]]] = ('', ()),
     ) -> None:
         """
         Write a state, what was seen of it, what was commanded and how it counts.
 
-        The state before gives the shepherds' headings; ranges (3, R) m and commands (2,) m/s are
+        The state before gives the shepherds' headings; ranges (C, R) m and commands (2,) m/s are
         those of each shepherd, and so are labels, in a namespace: what another one would command.
         """
         episode = self.episode
@@ -86,9 +86,10 @@ class EpisodeBag:
             ('flock/poses', state.sheep, state.heading),
         ):
             self.put(name, encode_poses(ns, frame, position.numpy(), heading.numpy()))
+        names = lidar.layout.channels
         for h, channels in enumerate(ranges[:team]):
-            for name, values in zip(CHANNELS, () if channels is None else channels, strict=False):
-                content = encode_scan(ns, f'shepherd_{h}', values, range_max, episode.dt)
+            for name, values in zip(names, () if channels is None else channels, strict=False):
+                content = encode_scan(ns, f'shepherd_{h}', values, lidar.range_max, episode.dt)
                 self.put('shepherd_{h}/scan/' + name, content, h)
         for h, command in enumerate(commands[:team]):
             if command is not None:
@@ -165,7 +166,7 @@ def write_moment(
             ranges[k],
             [] if command is None else command[k].tolist(),
             {name: float(values[name][k]) for name in METRICS},
-            lidar.range_max,
+            lidar,
             ('', ()) if labels is None else (labels[0], labels[1][k].tolist()),
         )
 

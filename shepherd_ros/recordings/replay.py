@@ -85,7 +85,7 @@ def metrics_over_time(states: WorldState, episode_steps: int) -> dict[str, np.nd
 
 
 def ranges_of(episode: RecordedEpisode) -> np.ndarray | None:
-    """Return the scans (T, H, 3, R) m, inf where one is missing; None if there are none at all."""
+    """Return the scans (T, H, C, R) m, inf where one is missing; None if there are none at all."""
     shapes = {scan.shape for frame in episode.frames for scan in frame.scans if scan is not None}
     if len(shapes) != 1:
         return None
@@ -106,6 +106,7 @@ def track_of(episode: RecordedEpisode, title: str, parting: int | None = None) -
         goal_radius=float(states.goal_radius[0]),
         title=title,
         ranges=None if ranges is None else ranges[:, 0],
+        channels=episode.channels,
         lidar_shepherd=0,
         parting=parting,
     )

@@ -70,12 +70,23 @@ class ScanListener:
 
         return receive
 
+    def unpublished(self) -> list[str]:
+        """Return the scans that nobody publishes, of shepherds whose other scans have come."""
+        return [
+            name
+            for h, parts in self._parts.items()
+            for channel in self.channels
+            for name in [f'shepherd_{h}/scan/{channel}']
+            if channel not in parts and not self.node.count_publishers(name)
+        ]
+
     def _next(self, ns: int) -> None:
         """Turn to another stamp; what is there of the one before is delivered if it is older."""
         if self._parts and ns > self._ns:
             missing = [h for h in self._inputs if len(self._parts.get(h, ())) < len(self.channels)]
             for h in missing:
-                self._fault('missing', h, 'some channel', f'not all scans of {self._ns * 1e-9} s')
+                lost = [name for name in self.channels if name not in self._parts.get(h, ())]
+                self._fault('missing', h, lost[0], f'not all scans of {self._ns * 1e-9} s')
             self._deliver()
         self._ns, self._parts = ns, {}
 

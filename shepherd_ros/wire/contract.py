@@ -13,7 +13,6 @@ from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 from shepherd_ros.wire.schemas import schema_text, wire_types
 from shepherd_ros.wire.topics import contract, families, member, Topic, topic_pattern
 
-CHANNELS = ('sheep', 'shepherds', 'goal')  # of a scan, in the order of the lidar
 PROSE = ('publisher', 'subscribers', 'meaning')  # may change without any change on the wire
 HASH = 12  # characters of the hash of a topic
 # contract_hash() when bags began to have one for each topic, which were then as they are
