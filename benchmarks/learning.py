@@ -10,14 +10,12 @@ to their caches and clock rate does, and so does the waiting of threads for each
 """
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import fields, replace
 import json
 import os
 from pathlib import Path
 from statistics import median
-import time
 from typing import Any
 
 from shepherd_ros.learning.clone import Cloner, Examples
@@ -30,10 +28,10 @@ from shepherd_ros.memory import keep_memory
 from shepherd_ros.policy.network import Actor, fast_dtype, NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.observation import ObservationConfig
+from timing import CLOCKS, in_turns, rates, shares_of, table
 import torch
 from torch import Tensor
 
-CLOCKS = {'wall': time.perf_counter, 'cpu': time.process_time}
 SEEN = ObservationConfig(align='goal', unit=10.0)
 FROM_SCRATCH = PolicyConfig(repeat=8, observation=replace(SEEN, spacing=8))
 IMITATION = PolicyConfig(observation=replace(SEEN, spacing=4))
@@ -43,48 +41,6 @@ RING = replace(
     network=NetworkConfig(padding='circular'),
 )
 RUN = PPORunConfig()
-Seconds = dict[str, float]  # by clock
-
-
-def took(work: Callable[[], object]) -> Seconds:
-    """Return how long some work takes, by each clock [s]."""
-    begun = {name: clock() for name, clock in CLOCKS.items()}
-    work()
-    return {name: clock() - begun[name] for name, clock in CLOCKS.items()}
-
-
-def in_turns(works: Mapping[str, Callable[[], object]], rounds: int) -> dict[str, Seconds]:
-    """Return the median time of each work, after a warm-up; all run once in every round."""
-    for work in works.values():
-        work()
-    times: dict[str, list[Seconds]] = {name: [] for name in works}
-    for _ in range(rounds):
-        for name, work in works.items():
-            times[name].append(took(work))
-    return {
-        name: {clock: median(t[clock] for t in seen) for clock in CLOCKS}
-        for name, seen in times.items()
-    }
-
-
-def table(title: str, rows: list[dict[str, Any]]) -> None:
-    """Print rows as a table."""
-    print(f'\n{title}\n| ' + ' | '.join(rows[0]) + ' |\n|---|' + '--:|' * (len(rows[0]) - 1))
-    for row in rows:
-        cells = (
-            f'{v:,.{0 if v >= 50 else 2}f}' if isinstance(v, float) else v for v in row.values()
-        )
-        print('| ' + ' | '.join(map(str, cells)) + ' |', flush=True)
-
-
-def rates(name: str, samples: int, seconds: Seconds, beside: Seconds | None) -> dict[str, Any]:
-    """Return a row: samples per second by both clocks, as a multiple of another's if given."""
-    row: dict[str, Any] = {'what': name}
-    for clock, time_taken in seconds.items():
-        row[clock] = samples / time_taken
-        row[f'{clock}, ratio'] = beside[clock] / time_taken if beside else 1.0
-    return row
-
 
 # ---- the network ----
 
@@ -136,35 +92,6 @@ def forms(rounds: int, size: int) -> list[dict[str, Any]]:
 # ---- PPO ----
 
 
-@contextmanager
-def shares_of(
-    parts: Mapping[str, list[tuple[Any, str]]], told: dict[str, float]
-) -> Iterator[None]:
-    """Add up the CPU time of methods, given as (object, name), under the name of their part."""
-
-    def timed(part: str, method: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*args: Any, **kwargs: Any) -> Any:
-            begun = time.process_time()
-            result = method(*args, **kwargs)
-            told[part] += time.process_time() - begun
-            return result
-
-        return call
-
-    places = [(part, *place) for part, found in parts.items() for place in found]
-    for part, thing, name in places:
-        told[part] = 0.0
-        setattr(thing, name, timed(part, getattr(thing, name)))
-    begun = time.process_time()
-    yield
-    whole = time.process_time() - begun
-    for _, thing, name in places:
-        delattr(thing, name)
-    for part in parts:
-        told[part] /= whole
-    told['rest'] = 1 - sum(told.values())
-
-
 def ppo(rounds: int, decisions: int, repeat: int) -> tuple[list[dict[str, Any]], dict[str, float]]:
     """Return rates of rollout and update beside the bare network, and shares of the rollout."""
     dtype = fast_dtype()
@@ -212,16 +139,21 @@ def ppo(rounds: int, decisions: int, repeat: int) -> tuple[list[dict[str, Any]],
         for parts in ((times['rollout'], times['update']), (forward, both))
     )
     rows.append(rates('rollout and update', 1, *sums))
+    return rows, rollout_shares(rollout, collect, rounds)
+
+
+def rollout_shares(rollout: Rollout, collect: Callable[[], None], rounds: int) -> dict[str, float]:
+    """Return the shares of the CPU time of a rollout."""
     told: dict[str, float] = {}
     parts = {
         'simulator': [(g, name) for g in rollout.groups for name in ('hold', 'begin')],
         'lidar': [(rollout, '_see')],
-        'network': [(net, 'forward') for net in (policy.actor, policy.critic)],
+        'network': [(net, 'forward') for net in (rollout.policy.actor, rollout.policy.critic)],
     }
     with shares_of(parts, told):
         for _ in range(rounds):
             collect()
-    return rows, told
+    return told
 
 
 # ---- DAgger ----
