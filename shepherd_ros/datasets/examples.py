@@ -14,11 +14,10 @@ from shepherd_ros.datasets.lerobot_reader import Dataset, is_dataset, open_datas
 from shepherd_ros.datasets.lerobot_writer import DatasetWriter
 from shepherd_ros.datasets.report import Report
 from shepherd_ros.datasets.steps import Refuse, Steps, steps_of
-from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.recordings.episodes import iter_episodes
 from shepherd_ros.rosbag2.metadata import FILE
 from shepherd_ros.rosbag2.reader import open_bag
-from shepherd_ros.sim.observation import ObservationConfig, turned
+from shepherd_ros.sim.observation import ObservationConfig
 import torch
 from torch import Tensor
 
@@ -154,36 +153,6 @@ def examples_of(
         torch.from_numpy(rows[there]),
         torch.from_numpy(steps.action[there]),
     )
-
-
-def require_fit(steps: Steps, config: PolicyConfig) -> None:
-    """Raise ConfigError if steps were recorded with another time step or lidar."""
-    if steps.dt != config.dt:
-        raise ConfigError(f'{steps.where}: dt is {steps.dt} s, expected {config.dt} s')
-    if len(steps):
-        steps.layout.require(config.lidar.layout, steps.where)
-
-
-def stream_examples(
-    places: Sequence[Path],
-    policy: Policy,
-    report: Report,
-    seed: int | None = None,
-    labels: str = '',
-) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-    """
-    Yield scaled frames (n, K, C, R), ray in front (n,), wanted action (n, 2) episode by episode.
-
-    Arguments are those of stream_steps().
-    """
-    for _, steps in stream_steps(places, report, seed, labels):
-        require_fit(steps, policy.config)
-        found = examples_of(steps, policy.config.observation, report)
-        if found is not None:
-            frames = found.frames()
-            first = policy.first_ray(frames[:, -1])
-            wanted = turned(found.wanted, -first, frames.shape[-1])
-            yield policy.scaled(frames), first, wanted
 
 
 def look_at(places: Sequence[Path], observation: ObservationConfig, labels: str = '') -> Report:

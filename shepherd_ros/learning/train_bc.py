@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,14 +10,17 @@ import time
 from typing import Any
 
 from shepherd_ros.config import Config, ConfigError, option, part
-from shepherd_ros.datasets.examples import stream_examples
+from shepherd_ros.datasets.examples import examples_of, stream_steps
 from shepherd_ros.datasets.report import Report
+from shepherd_ros.datasets.steps import Steps
 from shepherd_ros.learning.clone import CloneConfig, Cloner, Examples
 from shepherd_ros.learning.run_folder import Run
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.validation import judge
 from shepherd_ros.policy.network import fast_dtype
-from shepherd_ros.policy.policy import Policy
+from shepherd_ros.policy.policy import Policy, PolicyConfig
+from shepherd_ros.sim.observation import turned
+from torch import Tensor
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,36 @@ class BCConfig(Config):
     labels: str = option('', 'namespace of the commands to learn; empty: those that were driven')
     task: TaskConfig = part(TaskConfig)
     clone: CloneConfig = part(CloneConfig)
+
+
+def require_fit(steps: Steps, config: PolicyConfig) -> None:
+    """Raise ConfigError if steps were recorded with another time step or lidar."""
+    if steps.dt != config.dt:
+        raise ConfigError(f'{steps.where}: dt is {steps.dt} s, expected {config.dt} s')
+    if len(steps):
+        steps.layout.require(config.lidar.layout, steps.where)
+
+
+def stream_examples(
+    places: Sequence[Path],
+    policy: Policy,
+    report: Report,
+    seed: int | None = None,
+    labels: str = '',
+) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+    """
+    Yield scaled frames (n, K, C, R), ray in front (n,), wanted action (n, 2) episode by episode.
+
+    Arguments are those of stream_steps().
+    """
+    for _, steps in stream_steps(places, report, seed, labels):
+        require_fit(steps, policy.config)
+        found = examples_of(steps, policy.config.observation, report)
+        if found is not None:
+            frames = found.frames()
+            first = policy.first_ray(frames[:, -1])
+            wanted = turned(found.wanted, -first, frames.shape[-1])
+            yield policy.scaled(frames), first, wanted
 
 
 def train_bc(

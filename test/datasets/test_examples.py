@@ -23,7 +23,6 @@ from shepherd_ros.datasets.examples import (
     bag_folders,
     build_dataset,
     look_at,
-    stream_examples,
     stream_steps,
 )
 from shepherd_ros.datasets.lerobot_format import DATA, EPISODES
@@ -32,6 +31,7 @@ from shepherd_ros.datasets.lerobot_writer import DatasetWriter, runs
 from shepherd_ros.datasets.report import Report
 from shepherd_ros.datasets.running_stats import Spread
 from shepherd_ros.datasets.steps import Steps, steps_of
+from shepherd_ros.learning.train_bc import stream_examples
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.recordings.episodes import iter_episodes, RecordedEpisode

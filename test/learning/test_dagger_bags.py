@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
-from shepherd_ros.datasets.examples import build_dataset, stream_examples
+from shepherd_ros.datasets.examples import build_dataset
 from shepherd_ros.datasets.report import Report
 from shepherd_ros.learning.clone import Examples
 from shepherd_ros.learning.dagger import DaggerConfig, Lesson
 from shepherd_ros.learning.dagger_bags import LABELS
 from shepherd_ros.learning.task import TaskConfig
+from shepherd_ros.learning.train_bc import stream_examples
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.recordings.check import check_bag

@@ -13,14 +13,13 @@ from shepherd_ros.datasets.examples import (
     bag_folders,
     EpisodeExamples,
     examples_of,
-    require_fit,
-    stream_examples,
 )
 from shepherd_ros.datasets.report import Report
 from shepherd_ros.datasets.steps import steps_of
 from shepherd_ros.learning.clone import CloneConfig, Cloner, Examples
 from shepherd_ros.learning.dagger import DaggerConfig, Lesson
 from shepherd_ros.learning.task import TaskConfig
+from shepherd_ros.learning.train_bc import require_fit, stream_examples
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.recordings.episodes import iter_episodes, RecordedEpisode
