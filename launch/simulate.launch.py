@@ -9,7 +9,7 @@ from launch.action import Action
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from shepherd_ros.bringup import herding_stack, LAUNCH_ARGUMENTS, launch_values
+from shepherd_ros.bringup import LAUNCH_ARGUMENTS, launch_values, stack_in
 from shepherd_ros.resources import share_file
 from shepherd_ros.wire.topics import renamed_topics
 
@@ -18,7 +18,7 @@ def nodes(context: LaunchContext) -> list[Action]:
     """Return the nodes that the arguments ask for."""
     given = {name: LaunchConfiguration(name).perform(context) for name in LAUNCH_ARGUMENTS}
     values = launch_values(given)
-    stack = herding_stack(values.controller, values.n_shepherds, **values.flock_sim)
+    stack = stack_in(values.setting, values.controller, **values.flock_sim)
     files = [values.params_file] if values.params_file else []
     actions: list[Action] = [
         Node(
@@ -34,7 +34,7 @@ def nodes(context: LaunchContext) -> list[Action]:
     ]
     if values.rviz:
         view = ['-d', str(share_file('config', 'shepherd.rviz'))]
-        renames = renamed_topics(values.namespace, values.n_shepherds)
+        renames = renamed_topics(values.namespace, values.setting.shepherds)
         actions.append(
             Node(package='rviz2', executable='rviz2', arguments=view, remappings=renames)
         )

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
-from shepherd_ros.config import ConfigError
+from shepherd_ros.config import ConfigError, read
+from shepherd_ros.experiments.setting import changes_of, Setting, settled
 
 
 @dataclass(frozen=True)
@@ -31,15 +32,37 @@ def _yaml(value: Any) -> str:
 
 
 def herding_stack(
-    controller: str = 'strombom', n_shepherds: int = 3, **flock_sim: Any
+    controller: str = 'strombom',
+    n_shepherds: int = 3,
+    changes: Mapping[str, Any] | None = None,
+    **flock_sim: Any,
 ) -> list[Process]:
-    """Return flock_sim with parameters, a lidar per shepherd, metrics and a controller."""
-    lidars = [Process('lidar', f'lidar_{h}', {'shepherd_ids': [h]}) for h in range(n_shepherds)]
+    """
+    Return flock_sim with parameters, a lidar per shepherd, metrics and a controller.
+
+    changes are options of the environment by path; ConfigError for those that no node has.
+    """
+    model = flock_sim.get('flock', 'strombom')
+    world, lidar, own = {}, {}, commanded(controller, n_shepherds, flock_sim)
+    for path, value in (changes or {}).items():
+        room, _, name = path.partition('.')
+        if room == 'world':
+            inner = name.removeprefix('flock.')
+            world[name if inner == name else f'{model}.{inner}'] = value
+        elif room in ('lidar', 'noise_std'):
+            lidar[name or path] = value
+        else:
+            raise ConfigError(f'{path} is {value}: expected its default, as no node has it')
+        if path == 'noise_std' and controller != 'policy':  # which sees with the lidars
+            own[path] = value
     return [
-        Process('flock_sim', 'flock_sim', {'n_shepherds': n_shepherds, **flock_sim}),
-        *lidars,
+        Process('flock_sim', 'flock_sim', {'n_shepherds': n_shepherds, **world, **flock_sim}),
+        *(
+            Process('lidar', f'lidar_{h}', {'shepherd_ids': [h], **lidar})
+            for h in range(n_shepherds)
+        ),
         Process('metrics', 'metrics'),
-        controller_process(controller, commanded(controller, n_shepherds, flock_sim)),
+        controller_process(controller, own),
     ]
 
 
@@ -50,6 +73,13 @@ def controller_process(name: str, parameters: Mapping[str, Any]) -> Process:
     executable = CONTROLLERS[name].executable
     which = {} if executable == name else {'controller': name}
     return Process(executable, name, {**which, **parameters})
+
+def stack_in(setting: Setting, controller: str, **flock_sim: Any) -> list[Process]:
+    """Return the stack of a controller in a setting, or raise ConfigError."""
+    setting = settled(setting)
+    changes = changes_of(setting)
+    flock_sim = {'flock': setting.flock, 'preset': setting.preset, **flock_sim}
+    return herding_stack(controller, setting.shepherds, changes, **flock_sim)
 
 
 def commanded(
@@ -70,13 +100,17 @@ def commanded(
     return {'shepherd_ids': list(range(n_shepherds)), 'checkpoint': checkpoint}
 
 
+# argument of the launch file -> field of the setting; an argument is called as the parameter is
+_OF_SETTING = {
+    f.metadata.get('path', '').rpartition('.')[2] or f.name: f
+    for f in fields(Setting)
+    if f.name not in ('any_dt', 'set')
+}
 # name -> default and description; empty means that the node's own default holds
 LAUNCH_ARGUMENTS: dict[str, tuple[str, str]] = {
     'controller': ('strombom', 'a controller by its name; a wrong one shows all of them'),
-    'n_sheep': ('100', 'sheep in the flock'),
-    'n_shepherds': ('3', 'shepherds, each with its lidar'),
-    'flock': ('strombom', 'flock model by its name; a wrong one shows all of them'),
-    'preset': ('default', 'named setting of time step and flock'),
+    **{name: (_yaml(f.default), f.metadata['doc']) for name, f in _OF_SETTING.items()},
+    'set': ('', 'other options of the environment, such as "world.dt=0.2 lidar.range_noise=0.1"'),
     'mode': ('lockstep', 'lockstep or realtime'),
     'rate': ('0.0', 'realtime: steps per second of wall time; 0: 1/dt'),
     'seed': ('0', 'seed of the first episode'),
@@ -92,7 +126,7 @@ class LaunchValues:
     """The arguments of the launch file in their types."""
 
     controller: str
-    n_shepherds: int
+    setting: Setting
     flock_sim: dict[str, Any]
     params_file: str
     namespace: str
@@ -101,37 +135,19 @@ class LaunchValues:
 
 def launch_values(given: dict[str, str]) -> LaunchValues:
     """Return the arguments of the launch file in their types, or raise ConfigError."""
-
-    def number(name: str, kind: type) -> Any:
-        return _number(name, given[name], kind, LAUNCH_ARGUMENTS[name][0])
-
+    named = {f.name: read(name, given[name], f.default) for name, f in _OF_SETTING.items()}
     return LaunchValues(
         controller=given['controller'],
-        n_shepherds=number('n_shepherds', int),
+        setting=settled(Setting(**named, set=tuple(given['set'].split()))),
         flock_sim={
-            **{name: number(name, int) for name in ('n_sheep', 'seed', 'episodes')},
-            **{name: given[name] for name in ('flock', 'preset', 'mode')},
-            'rate': number('rate', float),
+            **{name: read(name, given[name], 0) for name in ('seed', 'episodes')},
+            'mode': given['mode'],
+            'rate': read('rate', given['rate'], 0.0),
         },
         params_file=given['params_file'],
         namespace=given['namespace'],
-        rviz=_truth('rviz', given['rviz']),
+        rviz=read('rviz', given['rviz'], False),
     )
-
-
-def _number(name: str, text: str, kind: type, example: str) -> Any:
-    try:
-        return kind(text)
-    except ValueError:
-        raise ConfigError(
-            f'{name} is {text!r}: expected {kind.__name__}, such as {example}'
-        ) from None
-
-
-def _truth(name: str, text: str) -> bool:
-    if text not in ('true', 'false'):
-        raise ConfigError(f'{name} is {text!r}: expected true or false')
-    return text == 'true'
 
 
 REPLAY_ARGUMENTS: dict[str, tuple[str, str]] = {
@@ -174,10 +190,10 @@ def replay_values(given: dict[str, str], topics: list[str]) -> ReplayValues:
         if space and name.startswith(f'{recorded}/') and name not in ('/clock', '/diagnostics')
     ]
     rate, delay = (
-        _number(name, given[name], float, REPLAY_ARGUMENTS[name][0]) for name in ('rate', 'delay')
+        read(name, given[name], float(REPLAY_ARGUMENTS[name][0])) for name in ('rate', 'delay')
     )
     words = [given['bag'], '--rate', str(rate)]
-    words += ['--loop'] if _truth('loop', given['loop']) else []
+    words += ['--loop'] if read('loop', given['loop'], False) else []
     commands = [name for name in topics if name.endswith('/cmd_vel')]
     if given['controller']:
         words += ['--topics', *(name for name in topics if name not in commands)]
@@ -189,5 +205,5 @@ def replay_values(given: dict[str, str], topics: list[str]) -> ReplayValues:
         n_shepherds=len(commands),
         params_file=given['params_file'],
         namespace=space or recorded.strip('/'),
-        rviz=_truth('rviz', given['rviz']),
+        rviz=read('rviz', given['rviz'], False),
     )

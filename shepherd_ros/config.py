@@ -75,6 +75,20 @@ def checked(name: str, value: Any, default: Any, metadata: Mapping[str, Any]) ->
     return value
 
 
+def read(name: str, text: str, example: Any) -> Any:
+    """Return text as a value of the type of an example, or raise ConfigError."""
+    if isinstance(example, bool):
+        if text not in ('true', 'false'):
+            raise ConfigError(f'{name} is {text!r}: expected true or false')
+        return text == 'true'
+    try:
+        return type(example)(text)
+    except ValueError:
+        raise ConfigError(
+            f'{name} is {text!r}: expected {type(example).__name__}, such as {example}'
+        ) from None
+
+
 def part(kind: type[Config], default: type[Config] | None = None) -> Any:
     """Return a dataclass field that holds a configuration of a kind, its default one at first."""
     return field(default_factory=default or kind, metadata={'part': kind})
@@ -126,6 +140,35 @@ class Config:
             if value != default:
                 found[f.name] = value
         return found
+
+    def values(self) -> dict[str, Any]:
+        """Return every value by its path, such as `flock.noise` of a world."""
+        found: dict[str, Any] = {}
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if isinstance(value, Config):
+                found |= {f'{f.name}.{path}': inner for path, inner in value.values().items()}
+            elif 'doc' in f.metadata:
+                found[f.name] = value
+        return found | {name: value for name, (value, _) in self.added().items()}
+
+    def with_values(self: C, changes: Mapping[str, Any]) -> C:
+        """Return the configuration with other values by path, or raise; text is read()."""
+        known = self.values()
+        inner: dict[str, dict[str, Any]] = {}
+        own: dict[str, Any] = {}
+        for path, value in changes.items():
+            if path not in known:
+                raise _unknown_path(path, list(known))
+            if isinstance(value, str):
+                value = read(path, value, known[path])
+            name, _, rest = path.partition('.')
+            if rest:
+                inner.setdefault(name, {})[rest] = value
+            else:
+                own[name] = value
+        parts = {name: getattr(self, name).with_values(more) for name, more in inner.items()}
+        return replace(type(self).from_dict(self.to_dict() | own), **parts)
 
     def equals(self, stored: Any) -> bool:
         """Return whether data that to_dict() gave is of this; what it lacks has its default."""
@@ -211,3 +254,11 @@ class Extended(Config):
 def _limits(entry: Any) -> Mapping[str, Any]:
     """Return the metadata of an option that an entry adds."""
     return {'doc': entry.meaning, 'low': entry.low, 'high': entry.high}
+
+
+def _unknown_path(path: str, known: list[str]) -> ConfigError:
+    """Return the error for a path that is none of those known, with the nearest one if any."""
+    near = [name for name in known if name.endswith(f'.{path}')]
+    near += difflib.get_close_matches(path, known, n=1)
+    hint = f'did you mean {near[0]!r}?' if near else f'expected a path such as {known[0]!r}'
+    return ConfigError(f'there is no option {path!r}; {hint}')

@@ -15,14 +15,17 @@ from shepherd_ros.bringup import (
     REPLAY_ARGUMENTS,
     replay_values,
     ReplayValues,
+    stack_in,
 )
 from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
 from shepherd_ros.experiments.methods import make_method
-from shepherd_ros.experiments.setting import Setting
+from shepherd_ros.experiments.setting import Setting, settled
 from shepherd_ros.nodes.compose import NODES
+from shepherd_ros.nodes.herd_node import HerdOptions
 from shepherd_ros.policy.checkpoint import shipped_checkpoints
 from shepherd_ros.resources import share_file
+from shepherd_ros.ros.runtime import from_words
 from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.flocking.base import FlockConfig
 from shepherd_ros.sim.presets import PRESETS
@@ -77,6 +80,34 @@ def test_every_parameter_that_the_launch_file_sets_is_one_of_flock_sim() -> None
     values = launch_values(DEFAULTS)
     assert set(values.flock_sim) <= set(known['/**/flock_sim']['ros__parameters'])
     assert values.flock_sim.items() <= known['/**/flock_sim']['ros__parameters'].items()
+    assert values.setting == settled(Setting())
+    stack = stack_in(values.setting, values.controller, **values.flock_sim)
+    assert stack[0].parameters.items() <= known['/**/flock_sim']['ros__parameters'].items()
+
+
+def test_what_a_setting_changes_reaches_the_nodes_that_have_it() -> None:
+    given = {'n_sheep': '7', 'repulsion': '1.5', 'start': 'scattered', 'noise_std': '0.5'}
+    words = 'world.shepherd_speed=2 world.flock.noise=0.1 lidar.range_noise=0.2'
+    values = launch_values(DEFAULTS | given | {'set': words})
+    stack = {p.executable: p for p in stack_in(values.setting, 'pierson', seed=3)}
+    changed = {
+        'flock_sim': {
+            'n_sheep': 7, 'shepherd_speed': 2.0, 'strombom.noise': 0.1, 'seed': 3,
+            'strombom.sheep_repulsion': 1.5, 'spawn.position_std': 5.0,
+        },
+        'lidar': {'noise_std': 0.5, 'range_noise': 0.2},
+        'pierson': {'noise_std': 0.5},
+    }  # fmt: skip
+    for name, parameters in changed.items():
+        known = yaml.safe_load(parameter_file(name))[f'/**/{name}']['ros__parameters']
+        differ = {k: v for k, v in stack[name].parameters.items() if known[k] != v}
+        differ.pop('shepherd_ids', None)
+        assert differ == parameters
+    options = ['--sheep', '7', '--repulsion', '1.5', '--start', 'scattered', '--noise', '0.5']
+    for word in words.split():
+        options += ['--set', word]
+    herd = from_words(HerdOptions, 'herd', options)
+    assert stack_in(herd.setting, 'pierson', seed=3) == stack_in(values.setting, 'pierson', seed=3)
 
 
 def test_a_viewer_of_a_stack_in_a_namespace_gets_its_topics() -> None:
@@ -104,7 +135,7 @@ def test_a_bad_launch_argument_is_named(given: dict[str, str], message: str) -> 
 @pytest.mark.parametrize(
     ('file', 'used'),
     [
-        ('simulate', {'LAUNCH_ARGUMENTS', 'launch_values', 'herding_stack'}),
+        ('simulate', {'LAUNCH_ARGUMENTS', 'launch_values', 'stack_in'}),
         ('replay', {'REPLAY_ARGUMENTS', 'replay_values'}),
     ],
 )
@@ -179,7 +210,9 @@ def test_a_bad_argument_of_the_replay_is_named(given: dict[str, str], message: s
         (['demo', '--controller', 'piersen'], "did you mean 'pierson'"),
         (['demo', '--flock', 'boids'], "flock is 'boids': expected one of reynolds, strombom"),
         (['demo', '--preset', 'fine_dt'], 'dt is 0.1 s: expected 0.5 s'),
-        (['demo', '--sheep', '0'], '--sheep is 0: expected at least 1'),
+        (['demo', '--sheep', '0'], 'n_sheep is 0: expected a value in'),
+        (['demo', '--set', 'reward.shaping=1'], 'reward.shaping is 1.0: expected its default'),
+        (['demo', '--rays', '64'], '--rays is 64: expected 512, as in training'),
         (['demo', '--animation', 'avi'], "--animation is 'avi': expected gif, mp4 or none"),
         (['evaluate', '9'], "experiment is '9': expected one of"),
     ],

@@ -12,34 +12,26 @@ from typing import Any, TYPE_CHECKING
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
-from shepherd_ros.bringup import herding_stack
+from shepherd_ros.bringup import Process, stack_in
 from shepherd_ros.cli.errors import UserError
 from shepherd_ros.cli.processes import isolate, Running, running
+from shepherd_ros.experiments.arguments import OneSetting
 
 if TYPE_CHECKING:
+    from shepherd_ros.experiments.setting import Setting
     from shepherd_ros.nodes.episode_probe import Witness
 
 PATIENCE = 60.0  # [s] wall time without any news before giving up
 
 
-@dataclass
-class Demo:
+@dataclass(kw_only=True)
+class Demo(OneSetting):
     """Herd a flock over ROS 2 topics with separate processes; draw what happened."""
 
     controller: str = 'policy'
     """Controller that commands the shepherds; a wrong name shows all of them."""
-    sheep: int = 100
-    """Sheep in the flock."""
-    shepherds: int = 3
-    """Shepherds, each with a lidar process of its own."""
-    flock: str = 'strombom'
-    """Flock model; a wrong name shows all of them."""
-    preset: str = 'default'
-    """Named setting of time step and flock."""
     seed: int = 0
     """Seed of the episode."""
-    steps: int = 1000
-    """Steps of the episode."""
     out: Path = Path('out/demo')
     """Folder for picture, animation and logs."""
     animation: str = 'gif'
@@ -47,62 +39,58 @@ class Demo:
 
     def run(self) -> int:
         """Run the demo; return the exit code."""
-        self._check()
+        setting = self._check()
+        stack = stack_in(setting, self.controller, seed=self.seed, episodes=1, wait_for_scans=True)
         isolate(os.environ)
         console = Console()
         console.print(
-            f'{self.sheep} sheep, {self.shepherds} shepherds, {self.controller} on a '
-            f'{self.flock} flock, seed {self.seed}; ROS_DOMAIN_ID={os.environ["ROS_DOMAIN_ID"]}'
+            f'{setting.sheep} sheep, {setting.shepherds} shepherds, {self.controller} on a '
+            f'{setting.flock} flock, seed {self.seed}; ROS_DOMAIN_ID={os.environ["ROS_DOMAIN_ID"]}'
         )
         # rclpy reads the environment when it is imported
         from shepherd_ros.nodes.episode_probe import witnessing
 
         with running(self.out / 'logs') as processes, witnessing() as (witness, hear):
-            self._herd(processes, witness, hear, console)
+            self._herd(stack, setting.steps, processes, witness, hear, console)
         console.print(self._table(witness.metrics))
-        self._draw(witness, console)
+        self._draw(setting, witness, console)
         return 0
 
-    def _check(self) -> None:
-        """Refuse what no process could do, before any is started."""
-        from shepherd_ros.controllers import CONTROLLERS, make_controller
-        from shepherd_ros.sim.presets import world_preset
+    def _check(self) -> Setting:
+        """Return the setting; refuse what no process could do, before any is started."""
+        from shepherd_ros.controllers import CONTROLLERS
+        from shepherd_ros.controllers.policy import require_same_world
+        from shepherd_ros.experiments.setting import env_config, settled
+        from shepherd_ros.policy.checkpoint import load_policy
 
         CONTROLLERS[self.controller]
-        world = world_preset(self.preset, self.flock)
+        config = env_config(self.setting)
         if self.controller == 'policy':  # it may have been trained with another time step
-            make_controller(self.controller, world, checkpoint=world.flock.checkpoint)
-        for name, value, least in (
-            ('sheep', self.sheep, 1), ('shepherds', self.shepherds, 1), ('steps', self.steps, 1)
-        ):  # fmt: skip
-            if value < least:
-                raise UserError(f'--{name} is {value}: expected at least {least}')
+            policy = load_policy(config.world.flock.checkpoint)
+            require_same_world(policy, config.world)
+            rays = policy.config.lidar.n_rays
+            if config.lidar.n_rays != rays:
+                raise UserError(
+                    f'--rays is {config.lidar.n_rays}: expected {rays}, as in training'
+                )
         if self.animation not in ('gif', 'mp4', 'none'):
             raise UserError(f'--animation is {self.animation!r}: expected gif, mp4 or none')
+        return settled(self.setting)
 
     def _herd(
         self,
+        stack: list[Process],
+        steps: int,
         processes: Running,
         witness: Witness,
         hear: Callable[[float], None],
         console: Console,
     ) -> None:
         """Start everything, the controller last, and follow the episode to its end."""
-        stack = herding_stack(
-            self.controller,
-            self.shepherds,
-            n_sheep=self.sheep,
-            flock=self.flock,
-            preset=self.preset,
-            seed=self.seed,
-            episode_steps=self.steps,
-            episodes=1,
-            wait_for_scans=True,
-        )
-        steps = TextColumn('step {task.completed:.0f}/{task.total:.0f}')
-        columns = steps, BarColumn(), TextColumn('{task.description}'), TimeElapsedColumn()
+        text = TextColumn('step {task.completed:.0f}/{task.total:.0f}')
+        columns = text, BarColumn(), TextColumn('{task.description}'), TimeElapsedColumn()
         with Progress(*columns, console=console) as progress:
-            task = progress.add_task('starting processes', total=self.steps)
+            task = progress.add_task('starting processes', total=steps)
             processes.start(stack[:-1])
             self._until(lambda: witness.hears_all, processes, witness, hear)
             processes.start(stack[-1:])
@@ -121,9 +109,9 @@ class Demo:
             while time.monotonic() < limit:
                 hear(0.1)
             done()
-        if len(witness.states) != self.steps + 1:
+        if len(witness.states) != steps + 1:
             raise UserError(
-                f'heard {len(witness.states)} of {self.steps + 1} states: the machine is too '
+                f'heard {len(witness.states)} of {steps + 1} states: the machine is too '
                 f'busy to follow; the logs are in {processes.logs}'
             )
 
@@ -165,7 +153,7 @@ class Demo:
             table.add_row(metric.name, value, metric.unit, metric.meaning)
         return table
 
-    def _draw(self, witness: Witness, console: Console) -> None:
+    def _draw(self, setting: Setting, witness: Witness, console: Console) -> None:
         """Write picture and animation."""
         from shepherd_ros.view.track import EpisodeTrack
 
@@ -176,7 +164,7 @@ class Demo:
             shepherds=states.shepherds.numpy(),
             goal=states.goal.numpy(),
             goal_radius=float(states.goal_radius[0]),
-            title=f'{self.controller}, {self.sheep} sheep ({self.flock}), seed {self.seed}',
+            title=f'{self.controller}, {setting.sheep} sheep ({setting.flock}), seed {self.seed}',
             ranges=witness.ranges(),
             lidar_shepherd=witness.shepherd,
         )

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, TYPE_CHECKING
+from typing import Annotated, Any, TYPE_CHECKING
 
 from rich.progress import Progress, TimeElapsedColumn, TimeRemainingColumn
 from shepherd_ros.cli.code import commit
 from shepherd_ros.cli.errors import UserError
+from shepherd_ros.experiments.arguments import ManySettings
 import tyro
 
 if TYPE_CHECKING:
@@ -17,12 +18,13 @@ if TYPE_CHECKING:
     from shepherd_ros.experiments.setting import Setting
 
 
-@dataclass
-class Evaluate:
+@dataclass(kw_only=True)
+class Evaluate(ManySettings):
     """
     Run experiments: figures of the paper (4 to 8), fractions, table, and sweeps beyond the paper.
 
-    Every controller gets the same starts. What is done already is not done again.
+    Every controller gets the same starts. What is done already is not done again. Options of the
+    world take several values, in the place of those of the experiment.
     """
 
     experiments: Annotated[tuple[str, ...], tyro.conf.Positional] = ('table',)
@@ -47,16 +49,6 @@ class Evaluate:
     """Seed of the first episode."""
     preset: str = ''
     """Named setting of time step and flock, instead of default."""
-    sheep: tuple[int, ...] = ()
-    """Flock sizes instead of those of the experiment."""
-    shepherds: tuple[int, ...] = ()
-    """Team sizes instead of those of the experiment."""
-    flock: str = ''
-    """Flock model instead of that of the experiment."""
-    noise: float | None = None
-    """Noise on perceived positions [m] instead of that of the experiment."""
-    steps: int | None = None
-    """Steps of an episode; 1000 if not given."""
     out: Path = Path('out/rows')
     """Folder of the rows; <experiment>.md in it is a table of what it has."""
 
@@ -123,18 +115,11 @@ class Evaluate:
 
         experiment = experiment.with_preset(self.preset)
         settings = experiment.quick if self.quick else experiment.settings
-        steps = self.steps or (QUICK_STEPS if self.quick else None)
-        if self.steps is not None and self.steps < 1:
-            raise UserError(f'--steps is {self.steps}: expected at least 1')
-        wishes = {
-            'sheep': self.sheep,
-            'shepherds': self.shepherds,
-            'flock': (self.flock,) if self.flock else (),
-            'noise': () if self.noise is None else (self.noise,),
-            'steps': () if steps is None else (steps,),
-        }
-        for name, values in wishes.items():
-            settings = _with_values(settings, name, values)
+        if self.quick:
+            settings = _with_values(settings, 'steps', (QUICK_STEPS,))
+        for f in fields(self.worlds):
+            values = getattr(self.worlds, f.name)
+            settings = _with_values(settings, f.name, (values,) if f.name == 'set' else values)
         episodes = 6 if self.quick else experiment.episodes
         return replace(
             experiment,
@@ -157,12 +142,12 @@ class Evaluate:
 
 
 def _with_values(
-    settings: tuple[Setting, ...], name: str, values: tuple[object, ...]
+    settings: tuple[Setting, ...], name: str, values: tuple[Any, ...]
 ) -> tuple[Setting, ...]:
     """Return the settings with other values of a field, each once."""
     if not values:
         return settings
-    changed = (replace(s, **{name: value}) for value in values for s in settings)  # type: ignore[arg-type]
+    changed = (replace(s, **{name: value}) for value in values for s in settings)
     return tuple(dict.fromkeys(changed))
 
 

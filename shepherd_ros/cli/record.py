@@ -10,6 +10,7 @@ from typing import Literal, TYPE_CHECKING
 
 from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 from shepherd_ros.cli.errors import UserError
+from shepherd_ros.experiments.arguments import OneSetting
 
 if TYPE_CHECKING:
     from shepherd_ros.controllers.base import Controller
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
 TOGETHER = 8  # episodes that a worker runs in one batch
 
 
-@dataclass
-class Record:
+@dataclass(kw_only=True)
+class Record(OneSetting):
     """Run a controller in simulation and write every episode as a bag."""
 
     out: Path
@@ -30,20 +31,8 @@ class Record:
     """Episodes, with seeds seed, seed + 1, ..."""
     seed: int = 0
     """Seed of the first episode."""
-    sheep: int = 100
-    """Sheep in the flock."""
-    shepherds: int = 3
-    """Shepherds."""
-    flock: str = 'strombom'
-    """Flock model."""
-    preset: str = 'default'
-    """Named setting of time step and flock."""
-    steps: int = 1000
-    """Steps of an episode."""
     training: bool = False
     """Start as in training: 1 to 6 shepherds, goals of 4 to 8 m, 100 sheep."""
-    noise: float = 0.0
-    """Standard deviation of the noise on perceived positions [m]."""
     compression: Literal['none', 'zstd', 'lz4'] = 'none'
     """Compression of the bags."""
     workers: int = 1
@@ -54,7 +43,8 @@ class Record:
         for name in ('episodes', 'workers'):
             if getattr(self, name) < 1:
                 raise UserError(f'--{name} is {getattr(self, name)}: expected at least 1')
-        self.setting()  # refuses what cannot be, before any process starts
+        self.world = self.setting  # which other processes can be given
+        self.environment()  # refuses what cannot be, before any process starts
         try:
             self.out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -82,21 +72,16 @@ class Record:
         print(f'{self.episodes} bags in {self.out}')
         return 0
 
-    def setting(self) -> tuple[EnvConfig, Controller]:
+    def environment(self) -> tuple[EnvConfig, Controller]:
         """Return environment and controller, or raise ConfigError."""
-        from shepherd_ros.controllers import make_controller
-        from shepherd_ros.sim.presets import training_world, world_preset
-        from shepherd_ros.sim.rollout import EnvConfig
+        from shepherd_ros.experiments.methods import full_name, method_in
+        from shepherd_ros.experiments.setting import env_config
+        from shepherd_ros.sim.presets import training_world
 
-        world = replace(
-            world_preset(self.preset, self.flock),
-            n_sheep=self.sheep,
-            n_shepherds=self.shepherds,
-            episode_steps=self.steps,
-        )
-        world = training_world(world) if self.training else world
-        controller = make_controller(self.controller, world)
-        return EnvConfig(world=world, noise_std=self.noise), controller
+        config = env_config(self.setting)
+        if self.training:
+            config = replace(config, world=training_world(config.world))
+        return config, method_in(config, full_name(self.controller))
 
 
 def record_part(options: Record, seeds: range) -> int:
@@ -107,7 +92,7 @@ def record_part(options: Record, seeds: range) -> int:
 
     torch.set_num_threads(1)
     keep_memory()
-    config, controller = options.setting()
+    config, controller = options.environment()
     missing = [s for s in seeds if not episode_folder(options.out, s).exists()]
     for first in missing:  # runs of neighbours, so that a batch is a range
         if first - 1 in missing:

@@ -10,7 +10,7 @@ import shlex
 from typing import Annotated, Any
 
 from shepherd_ros import __version__
-from shepherd_ros.cli.arguments import arguments_of, configured
+from shepherd_ros.arguments import arguments_of, configured
 from shepherd_ros.cli.code import commit
 from shepherd_ros.cli.errors import UserError
 from shepherd_ros.config import Config

@@ -17,6 +17,7 @@ from shepherd_ros.policy.checkpoint import checkpoint_file, load_policy, read_me
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.lidar import LidarConfig, scan
 from shepherd_ros.sim.presets import PRESETS
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.state import WorldState
 from torch import Tensor
 
@@ -113,30 +114,27 @@ class FaultyLidarController(LearnedController):
 
 def make_method(name: str, setting: Setting) -> Controller:
     """Return the controller of a full name in a setting, or raise ConfigError."""
-    config = env_config(setting)
+    options = PRESETS[setting.preset].controllers.get(name, {})
+    return method_in(env_config(setting), name, setting.any_dt, **options)
+
+
+def method_in(config: EnvConfig, name: str, any_dt: bool = False, **options: Any) -> Controller:
+    """Return the controller of a full name in an environment, or raise ConfigError."""
     checkpoint = checkpoint_of(name)
     if not checkpoint:
-        return make_controller(
-            name, config.world, **PRESETS[setting.preset].controllers.get(name, {})
-        )
+        return make_controller(name, config.world, **options)
     policy = loaded(checkpoint)
-    if setting.any_dt:
+    if any_dt:
         policy.config = replace(policy.config, dt=config.world.dt)
-    options = LearnedConfig(checkpoint=checkpoint)
-    plain = Setting()
-    faults = ('dropout', 'rays', 'cross_occlusion')
-    if all(getattr(setting, f) == getattr(plain, f) for f in faults):
-        return LearnedController(options, config.world, policy)
-    if policy.config.lidar.n_rays % setting.rays:
+    learned = LearnedConfig(checkpoint=checkpoint, **options)
+    faults, rays = config.lidar.changes(), config.lidar.n_rays
+    if not faults:
+        return LearnedController(learned, config.world, policy)
+    if 'n_rays' in faults and policy.config.lidar.n_rays % rays:
         raise ConfigError(
-            f'rays is {setting.rays}: expected a divisor of {policy.config.lidar.n_rays}, which '
-            f'{name} was trained with'
+            f'rays is {rays}: expected a divisor of {policy.config.lidar.n_rays}, which {name} '
+            'was trained with'
         )
-    controller = FaultyLidarController(options, config.world, policy)
-    controller.lidar = replace(
-        policy.config.lidar,
-        n_rays=setting.rays,
-        dropout=setting.dropout,
-        cross_occlusion=setting.cross_occlusion,
-    )
+    controller = FaultyLidarController(learned, config.world, policy)
+    controller.lidar = replace(policy.config.lidar, **faults)
     return controller

@@ -1,44 +1,59 @@
-"""One setting of an experiment: everything that decides its episodes but who drives."""
+"""
+A setting of an experiment: everything that decides its episodes but the controller.
+
+It is a base (a preset, a flock model, a start) and what is changed of its environment by path,
+such as `world.dt=0.2`; what is often changed has a short name. Command lines are made from it, so
+that torch is not imported before an environment is.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TYPE_CHECKING
 
 from shepherd_ros.config import Config, ConfigError, option
-from shepherd_ros.sim.flocking.strombom import StrombomFlock
-from shepherd_ros.sim.lidar import LidarConfig
-from shepherd_ros.sim.presets import world_preset
-from shepherd_ros.sim.rollout import EnvConfig
+
+if TYPE_CHECKING:
+    from shepherd_ros.sim.rollout import EnvConfig
 
 SCATTER = 5.0  # [m] standard deviation of the start `scattered`; the paper has 1
 STARTS: dict[str, dict[str, Any]] = {
     'paper': {},
-    'scattered': {'position_std': SCATTER},
-    'two_groups': {'flock_groups': 2},
+    'scattered': {'world.spawn.position_std': SCATTER},
+    'two_groups': {'world.spawn.flock_groups': 2},
 }
+
+
+def named(path: str, default: Any, doc: str) -> Any:
+    """Return a field that is a short name of an option of the environment."""
+    return field(default=default, metadata={'doc': doc, 'path': path})
 
 
 @dataclass(frozen=True)
 class Setting(Config):
     """A world of section 5 of the paper, with what an experiment may change of it."""
 
-    sheep: int = option(100, 'sheep', low=1)
-    shepherds: int = option(3, 'shepherds', low=1)
+    sheep: int = named('world.n_sheep', 100, 'sheep in the flock')
+    shepherds: int = named('world.n_shepherds', 3, 'shepherds, each with its lidar')
     flock: str = option('strombom', 'flock model')
     preset: str = option('default', 'named setting of time step and flock')
-    noise: float = option(0.0, 'noise on all perceived positions [m]', low=0.0)
-    repulsion: float = option(0.0, 'rho_a; 0: that of the preset', low=0.0)
+    noise: float = named('noise_std', 0.0, 'noise on all perceived positions [m]')
+    repulsion: float = named('world.flock.', 0.0, 'rho_a of the flock; 0: that of the preset')
     start: str = option('paper', 'where agents start', choices=tuple(STARTS))
-    dropout: float = option(0.0, 'chance that a ray returns nothing', low=0.0, high=1.0)
-    rays: int = option(512, 'rays of the lidar; a policy sees each several times', low=4)
-    cross_occlusion: bool = option(False, 'sheep and shepherds hide what is behind')
+    dropout: float = named('lidar.dropout', 0.0, 'chance that a ray returns nothing')
+    rays: int = named('lidar.n_rays', 512, 'rays of the lidar; a policy sees each several times')
+    cross_occlusion: bool = named(
+        'lidar.cross_occlusion', False, 'sheep and shepherds hide what is behind'
+    )
     any_dt: bool = option(False, 'a policy flies at another time step than it was trained for')
-    steps: int = option(1000, 'steps of an episode', low=1)
+    steps: int = named('world.episode_steps', 1000, 'steps of an episode')
+    set: tuple[str, ...] = option(
+        (), 'PATH=VALUE: any option of the environment, such as world.spawn.flock_groups=2'
+    )
 
 
-# any_dt is a leave and no property of the episodes
-FIELDS = tuple(f.name for f in fields(Setting) if f.name != 'any_dt')
+# any_dt is a leave and no property of the episodes; set is open
+FIELDS = tuple(f.name for f in fields(Setting) if f.name not in ('any_dt', 'set'))
 _TEXTS = {
     'sheep': '{} sheep',
     'shepherds': 'team of {}',
@@ -62,41 +77,59 @@ def describe(setting: Setting) -> str:
         for name, text in _TEXTS.items()
         if getattr(setting, name) != getattr(plain if name in ('preset', 'flock') else base, name)
     ]
-    return ', '.join(words) or 'default setting'
+    return ', '.join([*words, *setting.set]) or 'default setting'
 
 
 def settled(setting: Setting) -> Setting:
-    """Return the setting with the repulsion that its flock has, or raise ConfigError."""
-    flock = world_preset(setting.preset, setting.flock).flock
-    if isinstance(flock, StrombomFlock):
-        return replace(setting, repulsion=setting.repulsion or flock.sheep_repulsion)
-    if setting.repulsion:
-        raise ConfigError(
-            f'repulsion is {setting.repulsion}: expected 0, as the {setting.flock} flock has no '
-            'rho_a'
-        )
-    return setting
+    """Return the setting with short names as its environment has them, or raise ConfigError."""
+    config = env_config(setting)
+    values = config.values()
+    paths = _paths(config)
+    found = {name: values[path] for name, path in paths.items()}
+    # a default can stand for another value, that of the preset
+    covered = {path for name, path in paths.items() if found[name] != getattr(Setting, name)}
+    words = tuple(word for word in setting.set if _assignment(word)[0] not in covered)
+    return replace(setting, **found, set=words)
 
 
 def env_config(setting: Setting) -> EnvConfig:
     """Return the environment of a setting, or raise ConfigError; its lidar has the faults."""
-    world = world_preset(setting.preset, setting.flock)
-    flock = world.flock
-    if isinstance(flock, StrombomFlock):
-        flock = replace(flock, sheep_repulsion=settled(setting).repulsion)
-    else:
-        settled(setting)
-    world = replace(
-        world,
-        n_sheep=setting.sheep,
-        n_shepherds=setting.shepherds,
-        episode_steps=setting.steps,
-        flock=flock,
-        spawn=replace(world.spawn, **STARTS[setting.start]),
-    )
-    lidar = LidarConfig(
-        n_rays=setting.rays,
-        dropout=setting.dropout,
-        cross_occlusion=setting.cross_occlusion,
-    )
-    return EnvConfig(noise_std=setting.noise, world=world, lidar=lidar)
+    base = _base(setting)
+    paths, changes = _paths(base), setting.changes()
+    if 'repulsion' in changes and 'repulsion' not in paths:
+        raise ConfigError(
+            f'repulsion is {setting.repulsion}: expected 0, as the {setting.flock} flock has no '
+            'rho_a'
+        )
+    short = {paths[name]: value for name, value in changes.items() if name in paths}
+    more = dict(map(_assignment, setting.set))
+    return base.with_values(STARTS[setting.start] | short | more)
+
+
+def changes_of(setting: Setting) -> dict[str, Any]:
+    """Return what a setting changes of its preset's world with its flock, by path."""
+    before = _base(setting).values()
+    return {p: value for p, value in env_config(setting).values().items() if value != before[p]}
+
+
+def _base(setting: Setting) -> EnvConfig:
+    """Return the environment of preset and flock."""
+    from shepherd_ros.sim.presets import world_preset
+    from shepherd_ros.sim.rollout import EnvConfig
+
+    return EnvConfig(world=world_preset(setting.preset, setting.flock))
+
+
+def _paths(config: EnvConfig) -> dict[str, str]:
+    """Return the paths of short names; that of the repulsion is up to the flock model."""
+    paths = {f.name: f.metadata['path'] for f in fields(Setting) if 'path' in f.metadata}
+    rho = paths.pop('repulsion') + config.world.flock.repulsion_option
+    return paths | ({'repulsion': rho} if config.world.flock.repulsion_option else {})
+
+
+def _assignment(word: str) -> tuple[str, str]:
+    """Return path and value of PATH=VALUE, or raise ConfigError."""
+    path, equals, value = word.partition('=')
+    if not equals:
+        raise ConfigError(f'set is {word!r}: expected PATH=VALUE, such as world.dt=0.2')
+    return path.strip(), value.strip()

@@ -5,16 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from shepherd_ros.bringup import herding_stack
+from shepherd_ros.bringup import stack_in
 from shepherd_ros.config import ConfigError
+from shepherd_ros.experiments.arguments import OneSetting
 from shepherd_ros.nodes.compose import compose
 from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.ros.runtime import run
 import torch
 
 
-@dataclass(frozen=True)
-class HerdOptions:
+@dataclass(kw_only=True)
+class HerdOptions(OneSetting):
     """
     Run flock_sim, lidars, metrics and a controller as one process.
 
@@ -24,22 +25,12 @@ class HerdOptions:
 
     controller: str = 'policy'
     """Controller that commands; a wrong name shows all of them."""
-    sheep: int = 100
-    """Sheep in the flock."""
-    shepherds: int = 3
-    """Shepherds, each with a lidar node."""
-    flock: str = 'strombom'
-    """Flock model; a wrong name shows all of them."""
-    preset: str = 'default'
-    """Named setting of time step and flock."""
     mode: Literal['lockstep', 'realtime'] = 'lockstep'
     """How the world advances."""
     rate: float = 0.0
     """Realtime: steps per second of wall time; 0: 1/dt."""
     seed: int = 0
     """Seed of the first episode."""
-    steps: int = 1000
-    """Steps of an episode."""
     episodes: int = 0
     """Episodes to run; 0: without end."""
     wait_for_scans: bool = True
@@ -48,19 +39,13 @@ class HerdOptions:
 
 def herd(options: HerdOptions) -> list[ShepherdNode]:
     """Return the nodes, flock_sim first."""
-    if options.shepherds < 1:
-        raise ConfigError(f'--shepherds is {options.shepherds}: expected at least 1')
     torch.set_num_threads(1)
-    stack = herding_stack(
+    stack = stack_in(
+        options.setting,
         options.controller,
-        options.shepherds,
-        n_sheep=options.sheep,
-        flock=options.flock,
-        preset=options.preset,
         mode=options.mode,
         rate=options.rate,
         seed=options.seed,
-        episode_steps=options.steps,
         episodes=options.episodes,
         wait_for_scans=options.wait_for_scans,
     )

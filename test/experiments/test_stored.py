@@ -161,7 +161,7 @@ def test_an_option_that_comes_later_changes_no_key_and_finds_the_old_rows(
     before = read_rows([tmp_path])
     wind, lure = with_option(EnvConfig), with_option(PiersonConfig, 'lure', 2)
     monkeypatch.setattr(results, 'EnvConfig', wind)
-    monkeypatch.setattr('shepherd_ros.experiments.setting.EnvConfig', wind)
+    monkeypatch.setattr('shepherd_ros.sim.rollout.EnvConfig', wind)
     monkeypatch.setattr(CONTROLLERS['pierson'], 'config_type', lure)
     results._stored_key.cache_clear()
     capsys.readouterr()

@@ -13,8 +13,15 @@ import tyro
 C = TypeVar('C', bound=Config)
 
 
-def arguments_of(default: Config, hidden: tuple[str, ...] = ()) -> type[Any]:
-    """Return a dataclass of arguments with the values of a configuration as defaults."""
+def arguments_of(
+    default: Config, hidden: tuple[str, ...] = (), several: bool = False
+) -> type[Any]:
+    """
+    Return a dataclass of arguments with the values of a configuration as defaults.
+
+    A tuple is an argument that may come again. several: each takes any number of values, none at
+    first.
+    """
     rows: list[Any] = []
     for f in fields(default):
         value = getattr(default, f.name)
@@ -27,6 +34,10 @@ def arguments_of(default: Config, hidden: tuple[str, ...] = ()) -> type[Any]:
         kind: Any = type(value)
         if choices := choices_of(f.metadata):
             kind = Literal[choices]
+        if isinstance(value, tuple):
+            kind = tyro.conf.UseAppendAction[tuple[str, ...]]
+        elif several:
+            kind, value = tuple[kind, ...], ()
         if 'doc' in f.metadata:
             rows.append((f.name, Annotated[kind, tyro.conf.arg(help=f.metadata['doc'])], value))
     for name, (value, metadata) in default.added().items():

@@ -1,0 +1,36 @@
+"""A setting as arguments of a command line: short names, and --set for everything else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+from shepherd_ros.arguments import arguments_of, configured
+from shepherd_ros.experiments.setting import Setting
+import tyro
+
+ONE = arguments_of(Setting(), hidden=('any_dt',))
+SEVERAL = arguments_of(Setting(), hidden=('any_dt', 'preset'), several=True)
+
+
+@dataclass(kw_only=True)
+class OneSetting:
+    """The options of a verb that works in one setting."""
+
+    world: Annotated[Any, tyro.conf.OmitArgPrefixes, tyro.conf.arg(constructor=ONE)] = field(
+        default_factory=ONE
+    )
+
+    @property
+    def setting(self) -> Setting:
+        """Return the setting that is asked for, or raise ConfigError."""
+        return configured(Setting, self.world)
+
+
+@dataclass(kw_only=True)
+class ManySettings:
+    """The options of a verb that changes settings; each can have several values."""
+
+    worlds: Annotated[Any, tyro.conf.OmitArgPrefixes, tyro.conf.arg(constructor=SEVERAL)] = field(
+        default_factory=SEVERAL
+    )
