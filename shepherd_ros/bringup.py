@@ -74,6 +74,7 @@ def controller_process(name: str, parameters: Mapping[str, Any]) -> Process:
     which = {} if executable == name else {'controller': name}
     return Process(executable, name, {**which, **parameters})
 
+
 def stack_in(setting: Setting, controller: str, **flock_sim: Any) -> list[Process]:
     """Return the stack of a controller in a setting, or raise ConfigError."""
     setting = settled(setting)

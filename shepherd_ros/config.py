@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 import difflib
 import math
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 C = TypeVar('C', bound='Config')
 
@@ -190,70 +190,6 @@ class Config:
                 value = kind.from_dict(mapping(name, value))
             values[name] = value
         return cls(**values)
-
-
-@dataclass(frozen=True)
-class Extended(Config):
-    """
-    A configuration with the options that entries of a registry add, by their names.
-
-    An entry has name, default, meaning, low and high. Plain data has only values that differ from
-    their defaults.
-    """
-
-    registry: ClassVar[Mapping[str, Any]]
-    others: tuple[tuple[str, Any], ...] = field(default=(), kw_only=True)  # those that differ
-
-    def __post_init__(self) -> None:
-        """Check every option."""
-        super().__post_init__()
-        found = []
-        for name, value in sorted(self.others):
-            known = self.registry.keys() - self._own()
-            if name not in known:
-                names = [*self._own(), *sorted(known)]
-                raise unknown_name(f'{type(self).__name__} field', name, names)
-            entry = self.registry[name]
-            value = checked(name, value, entry.default, _limits(entry))
-            found += [(name, value)] if value != entry.default else []
-        object.__setattr__(self, 'others', tuple(found))
-
-    @classmethod
-    def _own(cls) -> list[str]:
-        """Return the names of fields."""
-        return [f.name for f in fields(cls) if f.metadata]
-
-    def added(self) -> dict[str, tuple[Any, Mapping[str, Any]]]:
-        """Return value and metadata of the options that plug-ins add."""
-        values, own = dict(self.others), self._own()
-        return {
-            name: (values.get(name, entry.default), _limits(entry))
-            for name, entry in self.registry.items()
-            if name not in own
-        }
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain nested data."""
-        data = super().to_dict()
-        return data | dict(data.pop('others'))
-
-    def changes(self) -> dict[str, Any]:
-        """Return plain nested data of what differs from the defaults."""
-        found = super().changes()
-        return found | dict(found.pop('others', ()))
-
-    @classmethod
-    def from_dict(cls: type[C], data: Mapping[str, Any]) -> C:
-        """Return the configuration that to_dict() gave, or raise ConfigError."""
-        own = [f.name for f in fields(cls) if f.metadata]
-        known = super().from_dict({name: data[name] for name in data if name in own})
-        others = tuple((name, value) for name, value in data.items() if name not in own)
-        return replace(known, **{'others': others}) if others else known
-
-
-def _limits(entry: Any) -> Mapping[str, Any]:
-    """Return the metadata of an option that an entry adds."""
-    return {'doc': entry.meaning, 'low': entry.low, 'high': entry.high}
 
 
 def _unknown_path(path: str, known: list[str]) -> ConfigError:

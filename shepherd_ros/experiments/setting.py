@@ -35,7 +35,7 @@ class Setting(Config):
 
     sheep: int = named('world.n_sheep', 100, 'sheep in the flock')
     shepherds: int = named('world.n_shepherds', 3, 'shepherds, each with its lidar')
-    flock: str = option('strombom', 'flock model')
+    flock: str = option('strombom', 'flock model by its name; a wrong one shows all of them')
     preset: str = option('default', 'named setting of time step and flock')
     noise: float = named('noise_std', 0.0, 'noise on all perceived positions [m]')
     repulsion: float = named('world.flock.', 0.0, 'rho_a of the flock; 0: that of the preset')

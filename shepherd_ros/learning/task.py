@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import random
 from typing import ClassVar
 
-from shepherd_ros.config import ConfigError, Extended, option, part
+from shepherd_ros.config import ConfigError, option, part
+from shepherd_ros.registry import Extended
 from shepherd_ros.sim.flocking import BOTH, FLOCK_MODELS
 from shepherd_ros.sim.presets import home_world, training_world, world_preset
 from shepherd_ros.sim.reward import RewardConfig

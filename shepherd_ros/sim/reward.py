@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
-from shepherd_ros.config import Extended, option
-from shepherd_ros.registry import Registry
+from shepherd_ros.config import option
+from shepherd_ros.registry import Extended, Registry
 from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor

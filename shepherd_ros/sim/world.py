@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-from shepherd_ros.config import Config, ConfigError, Extended, mapping, option, part
+from shepherd_ros.config import Config, ConfigError, mapping, option, part
+from shepherd_ros.registry import Extended
 from shepherd_ros.sim.flocking import FLOCK_MODELS, model_of
 from shepherd_ros.sim.flocking.base import FlockConfig
 from shepherd_ros.sim.flocking.strombom import StrombomFlock

@@ -109,7 +109,7 @@ def test_record_and_evaluate_take_the_same_options(tmp_path: Path) -> None:
     setting = Setting(
         sheep=3, shepherds=2, steps=4, set=('world.shepherd_speed=2', 'lidar.n_rays=64')
     )
-    assert episode.config['world'] == env_config(setting).world.to_dict()
+    assert env_config(setting).world.equals(episode.world)
     assert episode.frames[0].scans[0].shape[-1] == 64
     words += ['--controllers', 'idle', '--out', str(tmp_path / 'rows')]
     assert main(['evaluate', '4', *words]) == 0

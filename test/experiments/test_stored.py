@@ -248,7 +248,9 @@ def test_a_run_goes_on_after_an_option_was_added(tmp_path: Path) -> None:
 
 
 def test_an_episode_that_was_described_before_an_option_came_has_its_default() -> None:
-    episode = Episode(0, 1, 0, 100, 3, 4.0, 'map', 'lockstep', WorldConfig())
-    data = json.loads(episode.to_json())
-    del data['world']['shepherd_speed'], data['world']['spawn']['flock_groups']
-    assert Episode.from_json(json.dumps(data)) == episode
+    world = WorldConfig(n_sheep=5)
+    old = world.to_dict()
+    del old['shepherd_speed'], old['spawn']['flock_groups']
+    episode = Episode(0, 1, 0, 5, 3, 4.0, 'map', 'lockstep', old)
+    assert world.equals(Episode.from_json(episode.to_json()).world)
+    assert not replace(world, shepherd_speed=2.0).equals(old)
