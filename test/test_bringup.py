@@ -99,7 +99,8 @@ def test_what_a_setting_changes_reaches_the_nodes_that_have_it() -> None:
         'pierson': {'noise_std': 0.5},
     }  # fmt: skip
     for name, parameters in changed.items():
-        known = yaml.safe_load(parameter_file(name))[f'/**/{name}']['ros__parameters']
+        text = share_file('config', f'{name}.yaml').read_text(encoding='utf-8')
+        known = yaml.safe_load(text)[f'/**/{name}']['ros__parameters']
         differ = {k: v for k, v in stack[name].parameters.items() if known[k] != v}
         differ.pop('shepherd_ids', None)
         assert differ == parameters

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, TYPE_CHECKING
 
-from shepherd_ros.cli.arguments import verb_group
+from shepherd_ros.arguments import verb_group
 from shepherd_ros.cli.errors import UserError
 import tyro
 

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
-from shepherd_ros.cli.arguments import verb_group
+from shepherd_ros.arguments import verb_group
 from shepherd_ros.cli.errors import UserError
 import tyro
 
