@@ -20,8 +20,8 @@ from typing import Any
 from recorder_load import flood, PUBLISHERS, record, run, SCAN, scan_row
 from shepherd_ros.bringup import herding_stack
 from shepherd_ros.cli.processes import executable, isolate, running
+from shepherd_ros.recordings.writer import RecordingWriter
 from shepherd_ros.rosbag2.reader import open_bag
-from shepherd_ros.rosbag2.writer import BagWriter
 
 KINDS = ('none', 'lz4', 'zstd')
 LATE = re.compile(r'late by ([\d.]+) ms \(p50\), ([\d.]+) ms \(p99\)')
@@ -45,7 +45,7 @@ def writer(root: Path) -> list[dict[str, Any]]:
     rows = []
     for kind in KINDS:
         begun = time.perf_counter()
-        with BagWriter(root / f'writer_{kind}', compression=kind) as out:
+        with RecordingWriter(root / f'writer_{kind}', compression=kind) as out:
             for topic in {m.topic for m in scans}:
                 out.add_topic(topic, SCAN)
             for _ in range(5):
@@ -120,7 +120,7 @@ def limit(root: Path, count: int = 20_000) -> list[dict[str, Any]]:
 def player(root: Path) -> list[dict[str, Any]]:
     """Return how late the player is with 1000 scans per second, at rates 1 and 4."""
     bag = root / 'play'
-    with BagWriter(bag) as out:
+    with RecordingWriter(bag) as out:
         out.add_topic('/scan', SCAN)
         for k in range(10_000):
             out.write('/scan', scan_row(k), k * 1_000_000, k * 1_000_000)

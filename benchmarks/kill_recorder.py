@@ -28,9 +28,9 @@ from rosbags.highlevel import AnyReader
 from shepherd_ros.bringup import herding_stack
 from shepherd_ros.cli.processes import isolate, running
 from shepherd_ros.recordings.check import check_bag
+from shepherd_ros.recordings.writer import LOST_KEY
 from shepherd_ros.rosbag2.reader import Bag, open_bag
 from shepherd_ros.rosbag2.recover import recover
-from shepherd_ros.rosbag2.writer import LOST_KEY
 
 WORDS = ('-x', 'diagnostics|markers')  # several publish them, in an order of each recorder
 

@@ -73,9 +73,9 @@ class Recover:
 
     def run(self) -> int:
         """Recover and print what was kept and lost."""
-        from shepherd_ros.rosbag2.recover import recover
+        from shepherd_ros.recordings.writer import recover_recording
 
-        print(recover(self.bag, self.output, compression=self.compression).text())
+        print(recover_recording(self.bag, self.output, compression=self.compression).text())
         return 0
 
 

@@ -17,6 +17,7 @@ from shepherd_ros.ros.runtime import make_executor
 from shepherd_ros.wire.contract import known
 from shepherd_ros.wire.decode import Vector
 from shepherd_ros.wire.encode import encode_clock, encode_goal, encode_text
+from shepherd_ros.wire.topics import CLOCK, COMMANDS, EPISODE, GOAL
 
 RESEND = 0.25  # [s] after which an unanswered state is shown again, as flock_sim does
 LATCHED = 5.0  # [s] that readers get to take what is latched, before states follow
@@ -42,9 +43,9 @@ class Questioner(ShepherdNode):
         """Announce a recorded episode."""
         for h in range(len(self.inputs), episode.n_shepherds):
             taker = partial(self.take, h)
-            self.inputs.append(self.listen('shepherd_{h}/cmd_vel', taker, h))
+            self.inputs.append(self.listen(COMMANDS, taker, h))
         self.world_frame, self.goal = episode.frame_id, []
-        self.say('episode', encode_text(episode.to_json()), latched=True)
+        self.say(EPISODE, encode_text(episode.to_json()), latched=True)
 
     def ask(
         self,
@@ -62,7 +63,7 @@ class Questioner(ShepherdNode):
         goal = [0.0, 0.0] if frame.goal is None else frame.goal.tolist()
         if goal != self.goal:
             self.goal = goal
-            self.say('goal', encode_goal(frame.stamp_ns, self.world_frame, *goal), latched=True)
+            self.say(GOAL, encode_goal(frame.stamp_ns, self.world_frame, *goal), latched=True)
         self.asked_ns = frame.stamp_ns
         self.answers = {}
         begun = self.wall()
@@ -70,7 +71,7 @@ class Questioner(ShepherdNode):
         while not self.answers.keys() >= set(shepherds) and self.wall() - begun < PATIENCE:
             if self.wall() - shown >= RESEND:
                 shown = self.wall()
-                self.say('/clock', encode_clock(frame.stamp_ns))
+                self.say(CLOCK, encode_clock(frame.stamp_ns))
                 for topic, content in raw.items():
                     self.say(topic, content)
                 look()

@@ -17,6 +17,7 @@ from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.state import stack, WorldState
 from shepherd_ros.wire.decode import Scan
 from shepherd_ros.wire.episode import Episode
+from shepherd_ros.wire.topics import metric_topic, scan_topic
 
 
 class Witness(ShepherdNode):
@@ -35,9 +36,9 @@ class Witness(ShepherdNode):
         self.metrics: dict[str, float] = {}
         self.listener = Listener(self, self.on_state)
         for k, channel in enumerate(PAPER_CHANNELS):
-            self.listen('shepherd_{h}/scan/' + channel, partial(self.on_scan, k), shepherd)
+            self.listen(scan_topic(channel), partial(self.on_scan, k), shepherd)
         for name in METRICS:
-            self.listen(f'metrics/{name}', partial(self.on_metric, name))
+            self.listen(metric_topic(name), partial(self.on_metric, name))
 
     def on_state(self, ns: int, state: WorldState, episode: Episode) -> None:
         """Keep a state of the first episode."""

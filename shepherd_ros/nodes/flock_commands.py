@@ -14,6 +14,7 @@ from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.sim.limits import MAX_FLOAT32
 from shepherd_ros.wire.decode import decode_stamp, Vector
 from shepherd_ros.wire.episode import Episode
+from shepherd_ros.wire.topics import COMMANDS, scan_topic
 
 THROTTLE = 5.0  # [s] between two warnings of one kind
 
@@ -67,11 +68,9 @@ class CommandGate:
         while len(self.inputs) > episode.n_shepherds:
             self.node.destroy_subscription(self.inputs.pop())
         for h in range(len(self.inputs), episode.n_shepherds):
-            self.inputs.append(
-                self.node.listen('shepherd_{h}/cmd_vel', self._receiver(h), h, kind=kind)
-            )
+            self.inputs.append(self.node.listen(COMMANDS, self._receiver(h), h, kind=kind))
         scans = {
-            f'shepherd_{h}/scan/{channel}': ('shepherd_{h}/scan/' + channel, h)
+            scan_topic(channel).format(h=h): (scan_topic(channel), h)
             for h in range(episode.n_shepherds if self.wait_for_scans else 0)
             for channel in PAPER_CHANNELS
         }
@@ -157,7 +156,7 @@ class CommandGate:
 
     def missing(self) -> list[str]:
         """Return whose answers to the present state are missing."""
-        lacking = [f'shepherd_{h}/cmd_vel' for h in self.commands.silent()]
+        lacking = [COMMANDS.format(h=h) for h in self.commands.silent()]
         return lacking + [name for name in self.scans if name not in self.scanned]
 
     def watch(self, patience: float) -> None:
@@ -192,9 +191,9 @@ class CommandGate:
         """Warn of shepherds that more than one node commands, once per set of nodes."""
         rivals = {}
         for h in range(self.commands.n_shepherds):
-            writers = self._publishers(f'shepherd_{h}/cmd_vel')
+            writers = self._publishers(COMMANDS.format(h=h))
             if len(writers) > 1:
-                rivals[f'shepherd_{h}/cmd_vel'] = writers
+                rivals[COMMANDS.format(h=h)] = writers
         for topic, writers in rivals.items():
             if self.rivals.get(topic) != writers:
                 self.node.get_logger().warning(

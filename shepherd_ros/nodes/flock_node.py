@@ -23,6 +23,7 @@ from shepherd_ros.sim.rollout import advance, EnvConfig, start
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.wire.episode import Episode, MODES
+from shepherd_ros.wire.topics import SHEEP_POSES, SHEPHERD_POSES
 import torch
 from torch import Tensor
 
@@ -151,7 +152,7 @@ class FlockSim(ShepherdNode):
         if not self.finished:
             self.get_logger().info(f'{self.episodes} episodes done')
             self.publish_diagnostics()
-            self.output.wait('flock/poses', 'shepherds/poses', seconds=1.0)
+            self.output.wait(SHEEP_POSES, SHEPHERD_POSES, seconds=1.0)
             self.finished = True
 
     # ---- what makes it move ----

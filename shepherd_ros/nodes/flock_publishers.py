@@ -10,10 +10,11 @@ from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import unit
 from shepherd_ros.wire.encode import encode_clock, encode_goal, encode_poses, encode_text
 from shepherd_ros.wire.episode import Episode
+from shepherd_ros.wire.topics import CLOCK, EPISODE, GOAL, SHEEP_POSES, SHEPHERD_POSES
 
 MARKER_PERIOD = 0.05  # [s] wall time between two pictures
-POSES = ('flock/poses', 'shepherds/poses')
-TOPICS = ('episode', 'goal', '/clock', *POSES, 'markers')
+POSES = (SHEEP_POSES, SHEPHERD_POSES)
+TOPICS = (EPISODE, GOAL, CLOCK, *POSES, 'markers')
 
 
 class WorldOutput:
@@ -28,23 +29,23 @@ class WorldOutput:
 
     def episode(self, ns: int, episode: Episode, state: WorldState, seconds: float = 0.2) -> None:
         """Publish what is latched, and wait until everybody has it: states come after it."""
-        self.outputs['episode'].publish(encode_text(episode.to_json()))
+        self.outputs[EPISODE].publish(encode_text(episode.to_json()))
         self.goal(ns, state)
-        self.wait('episode', 'goal', seconds=seconds)
+        self.wait(EPISODE, GOAL, seconds=seconds)
 
     def goal(self, ns: int, state: WorldState) -> None:
         """Publish where the goal is."""
         x, y = state.goal.tolist()
-        self.outputs['goal'].publish(encode_goal(ns, self.node.frame_id, x, y))
+        self.outputs[GOAL].publish(encode_goal(ns, self.node.frame_id, x, y))
 
     def state(self, ns: int, state: WorldState, before: WorldState) -> None:
         """Publish clock and poses; the state before gives the shepherds' headings."""
         frame, moved = self.node.frame_id, unit(state.shepherds - before.shepherds)
-        self.outputs['/clock'].publish(encode_clock(ns))
-        self.outputs['shepherds/poses'].publish(
+        self.outputs[CLOCK].publish(encode_clock(ns))
+        self.outputs[SHEPHERD_POSES].publish(
             encode_poses(ns, frame, state.shepherds.numpy(), moved.numpy())
         )
-        self.outputs['flock/poses'].publish(
+        self.outputs[SHEEP_POSES].publish(
             encode_poses(ns, frame, state.sheep.numpy(), state.heading.numpy())
         )
         self.transforms.publish(ns, state.shepherds)

@@ -21,6 +21,7 @@ from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_command, encode_twist
 from shepherd_ros.wire.episode import Episode
+from shepherd_ros.wire.topics import COMMANDS
 import torch
 
 ALL = -1
@@ -78,7 +79,7 @@ class HeuristicNode(ShepherdNode):
             self.destroy_publisher(self.outputs.pop(h))
         kind = '' if self.stamped else 'geometry_msgs/msg/Twist'
         for h in [h for h in mine if h not in self.outputs]:
-            self.outputs[h] = self.advertise('shepherd_{h}/cmd_vel', h, kind)
+            self.outputs[h] = self.advertise(COMMANDS, h, kind)
 
     def on_state(self, ns: int, state: WorldState, episode: Episode) -> None:
         """Answer a state; one that comes again gets the same answer."""

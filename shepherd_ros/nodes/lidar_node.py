@@ -18,6 +18,7 @@ from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_scan
 from shepherd_ros.wire.episode import Episode
+from shepherd_ros.wire.topics import scan_topic, SHEPHERD
 import torch
 
 MARKER_PERIOD = 0.05  # [s] wall time between two pictures
@@ -38,16 +39,13 @@ class LidarNode(ShepherdNode):
                 'from 0, such as [0, 1, 2]'
             )
         self.scan_frame: str = self.option(
-            'scan_frame', 'shepherd_{h}', 'frame of the scans, {h} is the index of the shepherd'
+            'scan_frame', SHEPHERD, 'frame of the scans, {h} is the index of the shepherd'
         )
         self.noise_std: float = self.option(
             'noise_std', 0.0, 'noise on all perceived positions [m]', low=0.0
         )
         self.outputs = {
-            h: [
-                self.advertise('shepherd_{h}/scan/' + channel, h)
-                for channel in self.config.layout.channels
-            ]
+            h: [self.advertise(scan_topic(channel), h) for channel in self.config.layout.channels]
             for h in self.shepherd_ids
         }
         self.markers = self.advertise('markers')

@@ -15,6 +15,7 @@ from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_number
 from shepherd_ros.wire.episode import Episode
+from shepherd_ros.wire.topics import metric_topic
 
 
 class MetricsNode(ShepherdNode):
@@ -23,7 +24,7 @@ class MetricsNode(ShepherdNode):
     def __init__(self, **kwargs: Any) -> None:
         """Create the node and its publishers."""
         super().__init__('metrics', **kwargs)
-        self.outputs = {name: self.advertise(f'metrics/{name}') for name in METRICS}
+        self.outputs = {name: self.advertise(metric_topic(name)) for name in METRICS}
         self.world = WorldConfig()
         self.moment: Moment | None = None
         self.values: dict[str, float] = {}

@@ -23,9 +23,9 @@ from shepherd_ros.rosbag2.metadata import TopicInfo
 from shepherd_ros.rosbag2.qos import Qos
 from shepherd_ros.rosbag2.reader import BagMessage, open_bag
 from shepherd_ros.wire.encode import encode_clock
+from shepherd_ros.wire.topics import CLOCK
 from std_srvs.srv import SetBool
 
-CLOCK = '/clock'
 SECOND = 1_000_000_000  # [ns]
 ACK_TIME = 4.0  # [s] for readers to miss what did not arrive: DDS asks them every 3 s
 LATCHED_LEAD = 0.2  # [s] that readers get to know the topics before the first message

@@ -22,6 +22,7 @@ from shepherd_ros.ros.scan_subscriber import ScanListener, THROTTLE
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_command, encode_twist
 from shepherd_ros.wire.episode import Episode
+from shepherd_ros.wire.topics import COMMANDS
 import torch
 from torch import Tensor
 
@@ -103,7 +104,7 @@ class PolicyNode(ShepherdNode):
             self.destroy_publisher(self.outputs.pop(h))
         kind = '' if self.stamped else 'geometry_msgs/msg/Twist'
         for h in [h for h in self.present if h not in self.outputs]:
-            self.outputs[h] = self.advertise('shepherd_{h}/cmd_vel', h, kind)
+            self.outputs[h] = self.advertise(COMMANDS, h, kind)
         self.scans.listen_to(self.present)
 
     def on_scans(self, ns: int, ranges: dict[int, np.ndarray]) -> None:

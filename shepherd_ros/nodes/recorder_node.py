@@ -14,13 +14,14 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
 from shepherd_ros.nodes.recorder_options import RecorderOptions
 from shepherd_ros.nodes.recorder_subscriptions import Intake
+from shepherd_ros.recordings.writer import LOST_KEY, RecordingWriter
 from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.rosbag2.errors import BagError
-from shepherd_ros.rosbag2.writer import BagWriter, LOST_KEY
 from shepherd_ros.wire.contract import known
 from shepherd_ros.wire.decode import decode_clock, decode_string
 from shepherd_ros.wire.episode import Episode
+from shepherd_ros.wire.topics import CLOCK, EPISODE, GOAL
 from std_srvs.srv import Trigger
 
 TAKE_PERIOD = 0.02  # [s] between two looks for messages
@@ -28,7 +29,6 @@ GRAPH_PERIOD = 0.1  # [s] between two looks for new topics
 FLUSH_PERIOD = 1.0  # [s] of messages that a crash may cost at most
 ACK_TIME = 4.0  # [s] for others to hear of a failure: DDS asks for what is missed every 3 s
 EPISODE_WAIT = 0.5  # [s] for the last messages of an episode when the next one has begun
-CLOCK = '/clock'
 LOSSY = 1  # exit code of a bag that is not whole
 
 
@@ -55,7 +55,7 @@ class Recorder(ShepherdNode):
         self.executor_kind = 'single'  # it only sees timers and services
         self.options = options
         self.wanted = options.wish(self.resolve_topic_name)
-        self.writer: BagWriter | None = None
+        self.writer: RecordingWriter | None = None
         self.announced: set[str] = set()  # topics in the bag that is open
         self.lost_before: Counter[str] = Counter()  # when it was opened
         self.recording = not options.start_paused
@@ -94,7 +94,7 @@ class Recorder(ShepherdNode):
         """Take a message of a topic with its times and its number."""
         self.losses.heard(name, info.get('publication_sequence_number'))
         ours = known(name)
-        if ours is not None and ours.topic.name == 'episode':
+        if ours is not None and ours.topic.name == EPISODE:
             self._next_episode(ours.namespace, raw)
         if name == CLOCK:
             self.clock_ns = decode_clock(raw)
@@ -109,11 +109,11 @@ class Recorder(ShepherdNode):
         """Expect the topics of an episode; begin its bag if each has its own."""
         with suppress(ValueError):
             self.intake.expect(namespace, Episode.from_json(decode_string(raw)).n_shepherds)
-        again = self.latched.get(f'{namespace}/episode') == raw  # told to those who were silent
+        again = self.latched.get(f'{namespace}/{EPISODE}') == raw  # told to those who were silent
         if self.recording and self.options.per_episode and not (again and self.begun):
             if self.begun:
                 self._close()
-                self.latched.pop(f'{namespace}/goal', None)  # another one follows
+                self.latched.pop(f'{namespace}/{GOAL}', None)  # another one follows
             self.begun = True
 
     # ---- the bag ----
@@ -130,14 +130,16 @@ class Recorder(ShepherdNode):
         except (BagError, OSError) as error:
             self._fail(error)
 
-    def _put(self, writer: BagWriter, name: str, raw: bytes, log_ns: int, publish_ns: int) -> None:
+    def _put(
+        self, writer: RecordingWriter, name: str, raw: bytes, log_ns: int, publish_ns: int
+    ) -> None:
         if name not in self.announced:
             writer.add_topic(name, **self.intake.described(name))
             self.announced.add(name)
         writer.write(name, raw, log_ns, publish_ns)
         self.written += 1
 
-    def _open(self) -> BagWriter:
+    def _open(self) -> RecordingWriter:
         """Return a new bag: the folder itself, or the next part in it."""
         folder = self.folder
         if self.options.per_episode or self.parts:
@@ -146,7 +148,7 @@ class Recorder(ShepherdNode):
         self.parts += 1
         self.lost_before = self.losses.by_topic()
         self.announced.clear()
-        return BagWriter(
+        return RecordingWriter(
             folder,
             compression=self.options.compression,
             split_bytes=self.options.max_bag_size,
@@ -165,7 +167,7 @@ class Recorder(ShepherdNode):
             except BagError as error:
                 self._fail(error)
 
-    def _note_losses(self, writer: BagWriter) -> None:
+    def _note_losses(self, writer: RecordingWriter) -> None:
         lost = self.losses.by_topic() - self.lost_before
         writer.custom_data[LOST_KEY] = json.dumps(lost, sort_keys=True)
 

@@ -9,18 +9,15 @@ import json
 from shepherd_ros.config import unknown_name
 from shepherd_ros.recordings.findings import CheckResult, Finding, MOST
 from shepherd_ros.recordings.grouping import (
-    COMMANDS,
     Group,
     Groups,
     namespaces,
     SCAN,
-    SHEEP,
-    SHEPHERDS,
     State,
 )
+from shepherd_ros.recordings.writer import CONTRACT_KEY, LOST_KEY, TOPICS_KEY
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.reader import Bag
-from shepherd_ros.rosbag2.writer import CONTRACT_KEY, LOST_KEY, TOPICS_KEY
 from shepherd_ros.sim.lidar_layout import in_order
 from shepherd_ros.wire.contract import (
     contract_hash,
@@ -29,6 +26,7 @@ from shepherd_ros.wire.contract import (
     topic_hashes,
     WHOLE,
 )
+from shepherd_ros.wire.topics import COMMANDS, SHEEP_POSES, SHEPHERD, SHEPHERD_POSES
 
 PARTS = ('scans', 'commands')
 
@@ -141,9 +139,9 @@ class _Expected:
     def missing(self, state: State, n_shepherds: int, answered: bool) -> Iterator[str]:
         """Yield the topics that a state lacks."""
         if state.sheep is None:
-            yield f'{self.namespace}/{SHEEP}'
+            yield f'{self.namespace}/{SHEEP_POSES}'
         if state.shepherds is None:
-            yield f'{self.namespace}/{SHEPHERDS}'
+            yield f'{self.namespace}/{SHEPHERD_POSES}'
         for h in range(n_shepherds):
             for channel in self.scanned.get(h, ()):
                 if (h, channel) not in state.scans:
@@ -193,8 +191,8 @@ def _counts(group: Group, state: State, place: tuple[int, int, int]) -> Iterator
     """Yield what is wrong with the sizes of the arrays of a state."""
     info = group.info
     for poses, name, count in (
-        (state.sheep, SHEEP, info.n_sheep),
-        (state.shepherds, SHEPHERDS, info.n_shepherds),
+        (state.sheep, SHEEP_POSES, info.n_sheep),
+        (state.shepherds, SHEPHERD_POSES, info.n_shepherds),
     ):
         if poses is not None and len(poses.xy) != count:
             yield Finding('count', f'{len(poses.xy)} poses, expected {count}', *place, name)
@@ -202,4 +200,4 @@ def _counts(group: Group, state: State, place: tuple[int, int, int]) -> Iterator
         sizes = {len(state.scans.get((h, c), ())) for c in group.channels} - {0}
         if len(sizes) > 1:
             what = f'channels of {sorted(sizes)} rays'
-            yield Finding('count', what, *place, f'shepherd_{h}/scan')
+            yield Finding('count', what, *place, f'{SHEPHERD.format(h=h)}/scan')

@@ -20,11 +20,17 @@ from shepherd_ros.sim.lidar_layout import in_order, PAPER_CHANNELS
 from shepherd_ros.wire.contract import Known, known
 from shepherd_ros.wire.decode import CdrError, DECODERS, Floats, Poses, Ranges, Vector
 from shepherd_ros.wire.episode import Episode
+from shepherd_ros.wire.topics import (
+    COMMANDS,
+    EPISODE,
+    GOAL,
+    scan_topic,
+    SHEEP_POSES,
+    SHEPHERD_POSES,
+)
 
-SHEEP, SHEPHERDS = 'flock/poses', 'shepherds/poses'
-SCAN = 'shepherd_{h}/scan/'  # and the name of a channel
-COMMANDS, GOAL, EPISODE = 'shepherd_{h}/cmd_vel', 'goal', 'episode'
-STATES = (SHEEP, SHEPHERDS)
+SCAN = scan_topic('')  # and the name of a channel
+STATES = (SHEEP_POSES, SHEPHERD_POSES)
 ALL = (*STATES, SCAN, COMMANDS, GOAL)
 SETTLED = 2  # an episode ends for good when the next one has a state with this step
 
@@ -225,9 +231,9 @@ class _Sorter:
 
 def _put(state: State, name: str, shepherd: int | None, content: Any) -> None:
     """Keep what a message says of a state, unless it was said before."""
-    if name == SHEEP:
+    if name == SHEEP_POSES:
         state.sheep = state.sheep or content
-    elif name == SHEPHERDS:
+    elif name == SHEPHERD_POSES:
         state.shepherds = state.shepherds or content
     elif shepherd is not None and name == COMMANDS:
         state.commands.setdefault(shepherd, content.xy)

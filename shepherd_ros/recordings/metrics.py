@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from shepherd_ros.config import ConfigError
 from shepherd_ros.recordings.episodes import episode_of
-from shepherd_ros.recordings.grouping import GOAL, Group, Groups, namespaces, STATES
+from shepherd_ros.recordings.grouping import Group, Groups, namespaces, STATES
 from shepherd_ros.recordings.info import INDENT
 from shepherd_ros.recordings.replay import metrics_over_time, states_of
 from shepherd_ros.rosbag2.reader import Bag
 from shepherd_ros.sim.metrics import shown
+from shepherd_ros.wire.topics import GOAL
 
 
 def metrics_lines(bag: Bag) -> list[str]:

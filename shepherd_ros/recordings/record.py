@@ -8,8 +8,7 @@ import shutil
 
 import numpy as np
 from shepherd_ros.controllers.base import Controller, Memory
-from shepherd_ros.rosbag2.qos import Qos
-from shepherd_ros.rosbag2.writer import BagWriter
+from shepherd_ros.recordings.writer import offered_qos, RecordingWriter
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.rollout import advance, EnvConfig, Moment, start
@@ -27,11 +26,21 @@ from shepherd_ros.wire.encode import (
     encode_text,
 )
 from shepherd_ros.wire.episode import Episode
-from shepherd_ros.wire.topics import contract
+from shepherd_ros.wire.topics import (
+    CLOCK,
+    COMMANDS,
+    contract,
+    EPISODE,
+    GOAL,
+    metric_topic,
+    scan_topic,
+    SHEEP_POSES,
+    SHEPHERD,
+    SHEPHERD_POSES,
+    WORLD_FRAME,
+)
 import torch
 from torch import Tensor
-
-FRAME = 'map'
 
 
 class EpisodeBag:
@@ -40,7 +49,7 @@ class EpisodeBag:
     def __init__(self, folder: Path, episode: Episode, compression: str) -> None:
         """Open a bag in a folder that does not exist."""
         self.episode = episode
-        self.writer = BagWriter(folder, compression=compression)
+        self.writer = RecordingWriter(folder, compression=compression)
         self.now_ns = 0
         self.goal: list[float] = []
 
@@ -51,7 +60,7 @@ class EpisodeBag:
         topics, profiles = contract()
         row = topics[topic]
         name = f'{namespace}/' + topic.format(h=shepherd).lstrip('/')
-        self.writer.add_topic(name, row.type, [Qos.of_profile(profiles[row.profile])])
+        self.writer.add_topic(name, row.type, [offered_qos(profiles[row.profile])])
         self.writer.write(name, content, self.now_ns, self.now_ns)
 
     def step(
@@ -75,30 +84,32 @@ class EpisodeBag:
         ns = episode.start_ns + int(state.step) * episode.dt_ns
         first, self.now_ns = self.now_ns == 0, ns
         if first:
-            self.put('episode', encode_text(episode.to_json()))
+            self.put(EPISODE, encode_text(episode.to_json()))
         if self.goal != state.goal.tolist():
             self.goal = state.goal.tolist()
-            self.put('goal', encode_goal(ns, frame, *self.goal))
-        self.put('/clock', encode_clock(ns))
+            self.put(GOAL, encode_goal(ns, frame, *self.goal))
+        self.put(CLOCK, encode_clock(ns))
         moved = unit(state.shepherds - before.shepherds)
         for name, position, heading in (
-            ('shepherds/poses', state.shepherds[:team], moved[:team]),
-            ('flock/poses', state.sheep, state.heading),
+            (SHEPHERD_POSES, state.shepherds[:team], moved[:team]),
+            (SHEEP_POSES, state.sheep, state.heading),
         ):
             self.put(name, encode_poses(ns, frame, position.numpy(), heading.numpy()))
         names = lidar.layout.channels
         for h, channels in enumerate(ranges[:team]):
             for name, values in zip(names, () if channels is None else channels, strict=False):
-                content = encode_scan(ns, f'shepherd_{h}', values, lidar.range_max, episode.dt)
-                self.put('shepherd_{h}/scan/' + name, content, h)
+                content = encode_scan(
+                    ns, SHEPHERD.format(h=h), values, lidar.range_max, episode.dt
+                )
+                self.put(scan_topic(name), content, h)
         for h, command in enumerate(commands[:team]):
             if command is not None:
-                self.put('shepherd_{h}/cmd_vel', encode_command(ns, frame, *command), h)
+                self.put(COMMANDS, encode_command(ns, frame, *command), h)
         for h, command in enumerate(labels[1][:team]):
             content = encode_command(ns, frame, *command)
-            self.put('shepherd_{h}/cmd_vel', content, h, f'/{labels[0]}')
+            self.put(COMMANDS, content, h, f'/{labels[0]}')
         for name, value in metrics.items():
-            self.put(f'metrics/{name}', encode_number(value))
+            self.put(metric_topic(name), encode_number(value))
 
 
 def episode_folder(out: Path, seed: int) -> Path:
@@ -203,7 +214,7 @@ def describe(world: WorldConfig, first: WorldState, seed: int) -> Episode:
         n_sheep=world.n_sheep,
         n_shepherds=int(first.team_size),
         goal_radius=float(first.goal_radius),
-        frame_id=FRAME,
+        frame_id=WORLD_FRAME,
         mode='lockstep',
         world=world.to_dict(),
     )

@@ -8,6 +8,7 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.episode import Episode
+from shepherd_ros.wire.topics import EPISODE
 
 
 def listen_to_episodes(
@@ -27,4 +28,4 @@ def listen_to_episodes(
             present[:] = [episode]
             on_episode(episode, world)
 
-    node.listen('episode', receive)
+    node.listen(EPISODE, receive)

@@ -10,6 +10,7 @@ from shepherd_ros.ros.node import stamp
 from shepherd_ros.sim.lidar_layout import channel_of
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import from_bearing
+from shepherd_ros.wire.topics import SHEPHERD
 from std_msgs.msg import ColorRGBA
 import torch
 from torch import Tensor
@@ -58,7 +59,7 @@ def ray_markers(
     rays = from_bearing(torch.arange(count) * (2 * torch.pi / count))
     markers = []
     for channel, row in ranges.items():
-        name = f'shepherd_{shepherd}/lidar/{channel}'
+        name = f'{SHEPHERD.format(h=shepherd)}/lidar/{channel}'
         marker = _marker(ns, frame_id, name, Marker.LINE_LIST, 0.03, channel)
         marker.color.a = 0.5
         hit = row.isfinite()

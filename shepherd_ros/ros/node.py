@@ -18,7 +18,7 @@ from shepherd_ros import __version__
 from shepherd_ros.ros.intra_process import Bus, LocalPublisher, Output
 from shepherd_ros.ros.parameters import declare
 from shepherd_ros.wire.decode import CdrError, DECODERS
-from shepherd_ros.wire.topics import contract, row_of
+from shepherd_ros.wire.topics import contract, row_of, WORLD_FRAME
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 EXECUTORS = ('events', 'single')
@@ -52,7 +52,7 @@ class ShepherdNode(Node):
         self.bus = bus
         self.finished = False  # a node sets this to end its process
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.frame_id: str = self.option('frame_id', 'map', 'name of the world frame')
+        self.frame_id: str = self.option('frame_id', WORLD_FRAME, 'name of the world frame')
         self.executor_kind: str = self.option(
             'executor', 'events', 'executor: events (experimental in Jazzy), or single (slower)',
             choices=EXECUTORS,

@@ -9,6 +9,7 @@ from rclpy.subscription import Subscription
 from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.wire.decode import CdrError, decode_scan, Scan
+from shepherd_ros.wire.topics import scan_topic
 
 THROTTLE = 5.0  # [s] between two warnings
 
@@ -43,9 +44,7 @@ class ScanListener:
                 self.node.destroy_subscription(subscription)
         for h in [h for h in shepherds if h not in self._inputs]:
             self._inputs[h] = [
-                self.node.listen(
-                    'shepherd_{h}/scan/' + channel, self._receiver(h, channel), h, decode=bytes
-                )
+                self.node.listen(scan_topic(channel), self._receiver(h, channel), h, decode=bytes)
                 for channel in self.channels
             ]
         self.forget()
@@ -118,7 +117,7 @@ class ScanListener:
     def _fault(self, kind: str, shepherd: int, channel: str, words: str) -> None:
         self.faults[kind] = self.faults.get(kind, 0) + 1
         self.node.get_logger().warning(
-            f'shepherd_{shepherd}/scan/{channel}: {words}; the shepherd stands still for this '
-            'stamp; start the lidar with the options that the checkpoint was trained with',
+            f'{scan_topic(channel).format(h=shepherd)}: {words}; the shepherd stands still for '
+            'this stamp; start the lidar with the options that the checkpoint was trained with',
             throttle_duration_sec=THROTTLE,
         )

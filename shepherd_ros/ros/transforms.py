@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from geometry_msgs.msg import TransformStamped
 from shepherd_ros.ros.node import ShepherdNode, stamp
+from shepherd_ros.wire.topics import SHEPHERD
 from torch import Tensor
 
 try:
@@ -16,7 +17,7 @@ def shepherd_transforms(ns: int, world: str, shepherds: Tensor) -> list[Transfor
     """Return the transform from the world to each shepherd's frame, which never turns."""
     transforms = []
     for h, (x, y) in enumerate(shepherds.tolist()):
-        transform = TransformStamped(child_frame_id=f'shepherd_{h}')
+        transform = TransformStamped(child_frame_id=SHEPHERD.format(h=h))
         transform.header.stamp, transform.header.frame_id = stamp(ns), world
         transform.transform.translation.x, transform.transform.translation.y = x, y
         transform.transform.rotation.w = 1.0

@@ -12,6 +12,7 @@ from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.decode import decode_poses, Vector
 from shepherd_ros.wire.episode import Episode
+from shepherd_ros.wire.topics import GOAL, SHEEP_POSES, SHEPHERD_POSES
 import torch
 from torch import Tensor
 
@@ -49,9 +50,9 @@ class Listener:
         self._halves: dict[str, tuple[int, Tensor, Tensor]] = {}
         self._same: dict[str, Tensor] = {}  # what all states of the episode share
         listen_to_episodes(node, self._on_episode)
-        node.listen('goal', self._on_goal)
-        for side in ('flock', 'shepherds'):
-            node.listen(f'{side}/poses', partial(self._on_poses, side), decode=_hear)
+        node.listen(GOAL, self._on_goal)
+        for topic in (SHEEP_POSES, SHEPHERD_POSES):
+            node.listen(topic, partial(self._on_poses, topic), decode=_hear)
 
     def _on_episode(self, episode: Episode, world: WorldConfig) -> None:
         self.episode = episode
@@ -65,21 +66,21 @@ class Listener:
         self._pair()
 
     def _on_goal(self, pose: Vector) -> None:
-        if self._known_frame('goal', pose.frame_id):
+        if self._known_frame(GOAL, pose.frame_id):
             self.goal = torch.tensor(pose.xy, dtype=torch.float32)
             self._pair()
 
-    def _on_poses(self, side: str, poses: tuple[int, str, Tensor, Tensor, bool]) -> None:
+    def _on_poses(self, topic: str, poses: tuple[int, str, Tensor, Tensor, bool]) -> None:
         ns, frame_id, position, heading, finite = poses
-        if not self._known_frame(f'{side}/poses', frame_id):
+        if not self._known_frame(topic, frame_id):
             return
         if not finite:
             self.node.get_logger().warning(
-                f'{side}/poses at {ns * 1e-9:.3f} s has a NaN or infinite pose: state ignored',
+                f'{topic} at {ns * 1e-9:.3f} s has a NaN or infinite pose: state ignored',
                 throttle_duration_sec=5.0,
             )
             return
-        self._halves[side] = (ns, position, heading)
+        self._halves[topic] = (ns, position, heading)
         self._pair()
 
     def _known_frame(self, topic: str, frame_id: str) -> bool:
@@ -97,8 +98,8 @@ class Listener:
         episode, goal = self.episode, self.goal
         if len(self._halves) < 2 or episode is None or goal is None:
             return
-        ns, sheep, heading = self._halves['flock']
-        other, shepherds, _ = self._halves['shepherds']
+        ns, sheep, heading = self._halves[SHEEP_POSES]
+        other, shepherds, _ = self._halves[SHEPHERD_POSES]
         if ns != other or not episode.has(ns):
             return
         if len(sheep) != episode.n_sheep or len(shepherds) != episode.n_shepherds:

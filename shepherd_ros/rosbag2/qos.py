@@ -10,7 +10,6 @@ from typing import Any
 
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.yaml_text import dump_yaml, line_of, load_yaml
-from shepherd_ros.wire.topics import Profile
 
 INFINITE = (9223372036, 854775807)  # s, ns
 # words of a policy by the numbers that versions up to 8 have
@@ -49,11 +48,6 @@ class Qos:
                 raise ValueError(
                     f'{policy} is {getattr(self, policy)!r}: expected one of {", ".join(words)}'
                 )
-
-    @classmethod
-    def of_profile(cls, profile: Profile) -> Qos:
-        """Return what a publisher with a profile of the contract offers."""
-        return cls(profile.reliability, profile.durability, 'keep_last', profile.depth)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the policies in the order of rosbag2."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 import shutil
@@ -15,6 +15,8 @@ from shepherd_ros.rosbag2.qos import Qos, read_qos
 from shepherd_ros.rosbag2.reader import mcap_files
 from shepherd_ros.rosbag2.salvage import Salvage
 from shepherd_ros.rosbag2.writer import BagWriter
+
+OnMessage = Callable[[dict[str, str], str, bytes], None]
 
 
 @dataclass
@@ -44,13 +46,18 @@ def recovered_folder(path: Path) -> Path:
 
 
 def recover(
-    path: Path | str, folder: Path | str | None = None, *, compression: str = 'none'
+    path: Path | str,
+    folder: Path | str | None = None,
+    *,
+    compression: str = 'none',
+    on_message: OnMessage = lambda custom, topic, cdr: None,
 ) -> RecoverResult:
     """
     Write what can be read of a bag, a folder or one .mcap file, into a new folder.
 
-    The new folder appears when it is complete. Raises BagError if nothing is there to read, or
-    if the new bag cannot be written.
+    The new folder appears when it is complete. on_message(custom data, topic, CDR) is called
+    before each message is written, and may change the custom data of the bag. Raises BagError if
+    nothing is there to read, or if the new bag cannot be written.
     """
     path = Path(path)
     try:
@@ -70,7 +77,7 @@ def recover(
             target, f'it cannot be created ({error.strerror})', 'choose another folder'
         ) from error
     try:
-        _rewrite(sources, part / target.name, compression, result)
+        _rewrite(sources, part / target.name, compression, result, on_message)
         (part / target.name).rename(target)
     except OSError as error:
         raise BagError(
@@ -98,10 +105,14 @@ def _sources(files: list[Path], result: RecoverResult) -> Iterable[Salvage]:
 
 
 def _rewrite(
-    sources: list[Salvage], folder: Path, compression: str, result: RecoverResult
+    sources: list[Salvage],
+    folder: Path,
+    compression: str,
+    result: RecoverResult,
+    on_message: OnMessage,
 ) -> None:
     custom = _custom_data(sources)
-    with BagWriter(folder, compression=compression, custom_data=custom, own=False) as writer:
+    with BagWriter(folder, compression=compression, custom_data=custom) as writer:
         for number, source in enumerate(sources):
             if number:
                 writer.split()
@@ -116,6 +127,7 @@ def _rewrite(
                         result.lost_bytes += len(message.data)
                         continue
                     publish_ns = min(message.publish_ns, 2**63 - 1)
+                    on_message(writer.custom_data, channel.topic, message.data)
                     writer.write(channel.topic, message.data, message.log_ns, publish_ns)
                     result.messages += 1
                     result.topics[channel.topic] = result.topics.get(channel.topic, 0) + 1

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-import json
 from pathlib import Path
 from types import TracebackType
 
-from shepherd_ros import __version__
 from shepherd_ros.config import ConfigError, unknown_name
 from shepherd_ros.rosbag2.bag_files import BagFiles
 from shepherd_ros.rosbag2.errors import BagError
@@ -16,17 +13,10 @@ from shepherd_ros.rosbag2.mcap_writer import PACKERS
 from shepherd_ros.rosbag2.metadata import Metadata, TopicInfo
 from shepherd_ros.rosbag2.qos import Qos
 from shepherd_ros.rosbag2.records import LARGEST
-from shepherd_ros.wire.contract import contract_hash, known, known_text, topic_hashes, type_hash
-from shepherd_ros.wire.decode import CdrError, decode_string
 
 CHUNK_SIZE = 256 << 10  # [bytes]
 LARGEST_MESSAGE = LARGEST // 2  # [bytes], so that a chunk with it can be read
 SMALLEST_SPLIT = 1024  # [bytes], as in rosbag2
-VERSION_KEY = 'shepherd_ros.version'
-CONTRACT_KEY = 'shepherd_ros.contract'
-TOPICS_KEY = 'shepherd_ros.topics'  # JSON: topic_hashes()
-EPISODE_KEY = 'shepherd_ros.episode'
-LOST_KEY = 'shepherd_ros.lost'  # JSON: how many messages the recorder missed, by topic
 _ELSEWHERE = 'free space or choose another place, then record into a new folder'
 
 
@@ -36,8 +26,7 @@ class BagWriter:
 
     What is written before a crash stays readable but for the last chunk; flush() ends a chunk
     early. When the disk is full, the bag is closed with all that can be kept, and BagError is
-    raised. custom_data goes into the metadata, beside the version of the package, hashes of
-    the contract and the first episode; own=False leaves those out.
+    raised. custom_data goes into the metadata, and may change until the end.
     """
 
     def __init__(
@@ -49,7 +38,6 @@ class BagWriter:
         split_bytes: int = 0,
         split_seconds: float = 0.0,
         custom_data: Mapping[str, str] | None = None,
-        own: bool = True,
     ) -> None:
         """Create the folder, which must not exist; raises BagError. Splits: 0 for never."""
         if compression not in PACKERS:
@@ -65,11 +53,6 @@ class BagWriter:
         self.folder = Path(folder)
         self.split_bytes, self.split_ns = split_bytes, split_seconds * 1e9
         self.custom_data = dict(custom_data or {})
-        if own:
-            self.custom_data.setdefault(VERSION_KEY, __version__)
-            if CONTRACT_KEY not in self.custom_data:
-                self.custom_data[CONTRACT_KEY] = contract_hash()
-                self.custom_data[TOPICS_KEY] = json.dumps(topic_hashes(), separators=(',', ':'))
         self.count = 0  # messages taken
         self.closed = False
         try:
@@ -102,13 +85,13 @@ class BagWriter:
         type_name: str,
         qos: Sequence[Qos] = (),
         *,
-        schema: tuple[str, bytes] | None = None,
-        hash_text: str | None = None,
+        schema: tuple[str, bytes],
+        hash_text: str = '',
     ) -> None:
         """
         Announce a topic; again is fine, another type on it is a BagError.
 
-        schema is encoding and text of a type that is not in the contract, hash_text its hash.
+        schema is encoding and text of its type, hash_text the hash of that.
         """
         before = self._files.topics.get(name)
         if before is not None:
@@ -119,12 +102,8 @@ class BagWriter:
                     'record one of them, remap the other',
                 )
             return
-        if schema is None:
-            schema = 'ros2msg', known_text(type_name)
-            hash_text = type_hash(type_name) if hash_text is None else hash_text
-        topic = TopicInfo(name, type_name, qos=tuple(qos), type_hash=hash_text or '')
-        encoding, text = schema
-        self._guarded(lambda: self._files.add_topic(topic, encoding, text))
+        topic = TopicInfo(name, type_name, qos=tuple(qos), type_hash=hash_text)
+        self._guarded(lambda: self._files.add_topic(topic, *schema))
 
     def write(self, topic: str, cdr: bytes, log_ns: int, publish_ns: int) -> None:
         """Write a message: when it was received and when it was sent [ns]; raises BagError."""
@@ -136,7 +115,6 @@ class BagWriter:
                 f'{topic}: {len(cdr)} bytes at {log_ns} ns, sent at {publish_ns} ns',
                 f'expected times in [0, 2^63) ns and fewer than {LARGEST_MESSAGE} bytes',
             )
-        self._keep_episode(topic, cdr)
         if self._is_due(log_ns):
             self.split()
         self._guarded(lambda: self._files.add_message(topic, log_ns, publish_ns, cdr))
@@ -167,15 +145,6 @@ class BagWriter:
             return False
         late = self.split_ns and log_ns - first > self.split_ns
         return bool(late or 0 < self.split_bytes <= self._files.written)
-
-    def _keep_episode(self, topic: str, cdr: bytes) -> None:
-        """Take the first episode into the metadata of a bag of ours."""
-        data = self.custom_data
-        if CONTRACT_KEY in data and EPISODE_KEY not in data:
-            ours = known(topic)
-            if ours is not None and ours.topic.name == 'episode':
-                with suppress(CdrError):
-                    data[EPISODE_KEY] = decode_string(cdr)
 
     def _guarded(self, action: Callable[[], None]) -> None:
         """Do something with the files; on OSError keep what can be kept and raise BagError."""

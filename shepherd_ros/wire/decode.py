@@ -73,7 +73,9 @@ class _Cursor:
 
     def text(self) -> str:
         """Return a string."""
-        (length,) = self.take('I', 4)
+        return self._text(*self.take('I', 4))
+
+    def _text(self, length: int) -> str:
         start = HEADER + self.at
         data = self.raw[start : start + length]
         if len(data) != length:
@@ -91,7 +93,8 @@ class _Cursor:
 
     def header(self) -> tuple[int, str]:
         """Return stamp [ns] and frame of a std_msgs/Header."""
-        return self.time(), self.text()
+        sec, nanosec, length = self.take('iII', 4)
+        return sec * 10**9 + nanosec, self._text(length)
 
     def array(self, kind: str, count: int) -> NDArray[Any]:
         """Return count numbers as an array, aligned if there are any."""
@@ -117,10 +120,12 @@ def decode_poses(raw: bytes) -> Poses:
     stamp_ns, frame_id = cursor.header()
     (count,) = cursor.take('I', 4)
     poses = cursor.array('f8', 7 * count).reshape(count, 7)
+    heading = np.empty((count, 2))
     x, y, z, w = np.ascontiguousarray(poses[:, 3:].T)
     with np.errstate(all='ignore'):  # a quaternion may be anything
-        heading = np.stack([1 - 2 * (y * y + z * z), 2 * (w * z + x * y)], axis=-1)
-    return Poses(stamp_ns, frame_id, poses[:, :2].astype(np.float64), heading.astype(np.float64))
+        heading[:, 0] = 1 - 2 * (y * y + z * z)
+        heading[:, 1] = 2 * (w * z + x * y)
+    return Poses(stamp_ns, frame_id, poses[:, :2].astype(np.float64), heading)
 
 
 def decode_scan(raw: bytes) -> Scan:

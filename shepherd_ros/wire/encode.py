@@ -37,7 +37,8 @@ def encode_poses(ns: int, frame_id: str, position: np.ndarray, heading: np.ndarr
     way = heading.astype(np.float64)
     half = np.arctan2(way[:, 1], way[:, 0]) / 2
     poses[:, 5], poses[:, 6] = np.sin(half), np.cos(half)
-    return ENCAPSULATION + head + bytes(-len(head) % 8) + poses.tobytes()
+    gap = bytes(-len(head) % 8 if poses.size else 0)
+    return ENCAPSULATION + head + gap + poses.tobytes()
 
 
 def encode_goal(ns: int, frame_id: str, x: float, y: float) -> bytes:

@@ -11,6 +11,22 @@ from shepherd_ros.config import unknown_name
 from shepherd_ros.resources import share_file
 import yaml
 
+WORLD_FRAME = 'map'  # unless a parameter says otherwise
+SHEPHERD = 'shepherd_{h}'  # frame of a shepherd, and what its topics begin with
+EPISODE, GOAL, CLOCK = 'episode', 'goal', '/clock'
+SHEEP_POSES, SHEPHERD_POSES = 'flock/poses', 'shepherds/poses'
+COMMANDS = f'{SHEPHERD}/cmd_vel'
+
+
+def scan_topic(channel: str) -> str:
+    """Return the topic of a channel of the lidars."""
+    return f'{SHEPHERD}/scan/{channel}'
+
+
+def metric_topic(name: str) -> str:
+    """Return the topic of a metric."""
+    return f'metrics/{name}'
+
 
 @dataclass(frozen=True)
 class Profile:

@@ -47,16 +47,11 @@ from shepherd_ros.cli import main
 from shepherd_ros.nodes.recorder_losses import Losses
 from shepherd_ros.recordings.check import check_bag
 from shepherd_ros.recordings.episodes import iter_episodes
+from shepherd_ros.recordings.writer import CONTRACT_KEY, EPISODE_KEY, LOST_KEY, VERSION_KEY
 from shepherd_ros.rosbag2.diff import diff_bags
 from shepherd_ros.rosbag2.qos import Qos
 from shepherd_ros.rosbag2.reader import Bag, open_bag
-from shepherd_ros.rosbag2.writer import (
-    BagWriter,
-    CONTRACT_KEY,
-    EPISODE_KEY,
-    LOST_KEY,
-    VERSION_KEY,
-)
+from shepherd_ros.rosbag2.writer import BagWriter
 from shepherd_ros.sim.presets import world_preset
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.wire.contract import contract_hash
@@ -870,7 +865,7 @@ def test_a_player_refuses_what_cannot_be(
         schema = 'ros2msg', b'float64 x\n'
         writer.add_topic('/x', 'wool_msgs/msg/Sheep', [Qos()], schema=schema)
         writer.write('/x', bytes(12), 1, 1)
-    with BagWriter(places['odd'], own=False) as writer:
+    with BagWriter(places['odd']) as writer:
         writer.add_topic(
             '/a//b', 'std_msgs/msg/Int32', [Qos()], schema=('ros2msg', b'int32 data\n')
         )
@@ -891,7 +886,7 @@ def test_a_player_refuses_what_cannot_be(
 
 
 def test_a_foreign_bag_is_played_if_its_types_are_installed(room: Graph, tmp_path: Path) -> None:
-    with BagWriter(tmp_path / 'bag', own=False) as writer:
+    with BagWriter(tmp_path / 'bag') as writer:
         schema = 'ros2msg', b'int32 data\n'
         writer.add_topic('/wool', 'std_msgs/msg/Int32', [Qos()], schema=schema)
         writer.write('/wool', b'\0\1\0\0\7\0\0\0', 1, 1)

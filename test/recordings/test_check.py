@@ -24,8 +24,8 @@ from rosbag2.tiny import (
 from shepherd_ros.config import ConfigError
 from shepherd_ros.recordings.check import check_bag
 from shepherd_ros.recordings.findings import CheckResult
+from shepherd_ros.recordings.writer import LOST_KEY, RecordingWriter
 from shepherd_ros.rosbag2.reader import open_bag
-from shepherd_ros.rosbag2.writer import BagWriter, LOST_KEY
 from shepherd_ros.wire.contract import contract_hash, topic_hashes
 from shepherd_ros.wire.decode import decode_string
 
@@ -222,7 +222,7 @@ def test_types_schemas_and_contract_have_to_be_ours(tmp_path: Path) -> None:
     assert str(finding).startswith(
         "contract: shepherd_ros.contract is 'abc', ours '" + contract_hash()[:7]
     )
-    with BagWriter(tmp_path / 'schema') as writer:
+    with RecordingWriter(tmp_path / 'schema') as writer:
         writer.add_topic('/clock', 'rosgraph_msgs/msg/Clock', schema=('ros2msg', b'int32 x'))
     kinds = [f.kind for f in check_bag(open_bag(tmp_path / 'schema')).findings]
     assert kinds == ['schema', 'absent']

@@ -195,9 +195,9 @@ def test_types_that_cannot_be_decoded_are_compared_by_bytes(tmp_path: Path) -> N
     bags = []
     for name, end in (('a', b'\1'), ('b', b'\2')):
         folder = write(tmp_path / name, [])
-        from shepherd_ros.rosbag2.writer import BagWriter
+        from shepherd_ros.recordings.writer import RecordingWriter
 
-        with BagWriter(tmp_path / f'{name}x') as writer:
+        with RecordingWriter(tmp_path / f'{name}x') as writer:
             writer.add_topic('/i', 'x_msgs/msg/X', schema=('ros2idl', b'module x'))
             writer.write('/i', b'\0\1\0\0' + end, 1, 1)
         bags.append(open_bag(tmp_path / f'{name}x'))

@@ -8,6 +8,7 @@ from hypothesis import given as for_all
 from hypothesis import settings
 from hypothesis import strategies as st
 import pytest
+from shepherd_ros.recordings.writer import offered_qos
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.metadata import FileInfo, Metadata, TopicInfo
 from shepherd_ros.rosbag2.qos import Qos, qos_yaml, read_qos
@@ -137,7 +138,7 @@ def test_what_discovery_does_not_tell_is_unknown() -> None:
 
 def test_profiles_of_the_contract_have_words_of_rosbag2() -> None:
     for profile in contract()[1].values():
-        qos = Qos.of_profile(profile)
+        qos = offered_qos(profile)
         assert (qos.history, qos.depth) == ('keep_last', profile.depth)
         assert (qos.reliability, qos.durability) == (profile.reliability, profile.durability)
 

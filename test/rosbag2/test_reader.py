@@ -11,9 +11,9 @@ import pytest
 from rosbag2.tiny import cdr, LOG_START_NS, make, recording, Sent, STORE, tiny_bag, write
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.rosbag2.enums import StoragePlugin
+from shepherd_ros.recordings.writer import RecordingWriter
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.reader import open_bag
-from shepherd_ros.rosbag2.writer import BagWriter
 from shepherd_ros.wire.schemas import schema_text
 
 MESSAGES = recording()[0]
@@ -56,7 +56,7 @@ def test_without_metadata_yaml_the_files_are_found(bag: Path, tmp_path: Path) ->
 
 
 def test_ten_files_come_after_nine(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / 'bag') as writer:
+    with RecordingWriter(tmp_path / 'bag') as writer:
         writer.add_topic('/n', 'std_msgs/msg/Float64')
         for k in range(12):
             writer.write('/n', cdr(make('Float64', data=float(k))), k, k)
@@ -204,7 +204,7 @@ def test_a_flipped_bit_in_the_summary_is_found(bag: Path, tmp_path: Path) -> Non
 
 def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
     text = cdr(make('String', data='x' * 20_000))
-    with BagWriter(tmp_path / 'bag', compression='zstd') as writer:
+    with RecordingWriter(tmp_path / 'bag', compression='zstd') as writer:
         writer.add_topic('/t', 'std_msgs/msg/String')
         for k in range(2000):  # 40 MB
             writer.write('/t', text, k, k)

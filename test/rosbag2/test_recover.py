@@ -13,11 +13,12 @@ from rosbag2.tiny import recording, Sent, tiny_bag, write
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from shepherd_ros.recordings.check import check_bag
+from shepherd_ros.recordings.writer import recover_recording
 from shepherd_ros.rosbag2.diff import diff_bags
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.mcap_reader import ChunkRef, Storage
 from shepherd_ros.rosbag2.reader import open_bag
-from shepherd_ros.rosbag2.recover import recover, recovered_folder
+from shepherd_ros.rosbag2.recover import recovered_folder
 
 MESSAGES = list(recording()[0])
 CHUNK = 3000  # [bytes]
@@ -62,7 +63,7 @@ def lost(rows: list[Sent]) -> int:
 
 
 def test_a_whole_bag_comes_out_equal(whole: Path, tmp_path: Path) -> None:
-    result = recover(whole, tmp_path / 'new')
+    result = recover_recording(whole, tmp_path / 'new')
     assert (result.messages, result.lost_bytes, result.lost_chunks) == (len(MESSAGES), 0, 0)
     assert kept(tmp_path / 'new') == MESSAGES
     assert diff_bags(open_bag(whole), open_bag(tmp_path / 'new'), times=True).equal
@@ -83,7 +84,7 @@ def test_a_file_that_was_cut_off_loses_what_was_cut(
     size = random.Random(seed).randrange(chunks[0].offset, len(data))
     torn = tmp_path / 'torn.mcap'
     torn.write_bytes(data[:size])
-    result = recover(torn)
+    result = recover_recording(torn)
     assert torn.read_bytes() == data[:size]
     assert result.folder == tmp_path / 'torn_recovered'
     rows = kept(result.folder)
@@ -111,7 +112,7 @@ def test_a_torn_place_costs_the_chunks_that_it_touches(tmp_path: Path, seed: int
     (folder / 'metadata.yaml').unlink()
     places = {chunk: slice(chunk.offset, chunk.offset + chunk.length) for chunk in chunks}
     touched = [chunk for chunk, place in places.items() if data[place] != before[place]]
-    result = recover(folder)
+    result = recover_recording(folder)
     assert path.read_bytes() == bytes(data)
     assert lost(kept(result.folder)) == sum(counts[chunk] for chunk in touched)
     assert result.lost_chunks or not touched
@@ -124,7 +125,7 @@ def test_without_summary_the_front_tells_of_the_topics(whole: Path, tmp_path: Pa
     path = copy / 'bag_0.mcap'
     chunks = Storage(path).chunks
     path.write_bytes(path.read_bytes()[: chunks[-1].offset + chunks[-1].length])
-    result = recover(copy)
+    result = recover_recording(copy)
     assert kept(result.folder) == MESSAGES
     assert result.lost_bytes == 0
     # the first episode comes from its topic
@@ -136,7 +137,7 @@ def test_an_uncompressed_torn_chunk_gives_its_messages(whole: Path, tmp_path: Pa
     chunks = Storage(whole / 'bag_0.mcap').chunks
     torn = tmp_path / 'torn.mcap'
     torn.write_bytes(data[: chunks[2].offset + chunks[2].length - 1])
-    assert recover(torn).messages == messages_in(whole, chunks[:3]) - 1
+    assert recover_recording(torn).messages == messages_in(whole, chunks[:3]) - 1
 
 
 @pytest.mark.parametrize('chunked', [True, False])
@@ -145,7 +146,7 @@ def test_files_of_the_mcap_library(tmp_path: Path, chunked: bool) -> None:
     mcap_of_others(path, MESSAGES, use_chunking=chunked, chunk_size=CHUNK)
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2])
-    rows = kept(recover(path).folder)
+    rows = kept(recover_recording(path).folder)
     assert rows == MESSAGES[: len(rows)]
     assert len(rows) > len(MESSAGES) // 4
 
@@ -156,7 +157,7 @@ def test_split_bags_stay_split_and_one_bad_file_is_told(tmp_path: Path) -> None:
     assert count > 2
     (folder / 'bag_1.mcap').write_bytes(b'nothing of the kind')
     (folder / 'bag_2.mcap').write_bytes((folder / 'bag_2.mcap').read_bytes()[:-30])
-    result = recover(folder)
+    result = recover_recording(folder)
     assert len(list(result.folder.glob('*.mcap'))) == count - 1 == result.files
     assert len(result.refused) == 1
     assert 'bag_1.mcap: it is no MCAP file' in result.text()
@@ -174,25 +175,25 @@ def test_what_has_nothing_to_recover_is_refused(tmp_path: Path, whole: Path) -> 
         ('none', 'it cannot be read .No such file'),
     ):
         with pytest.raises(BagError, match=what):
-            recover(tmp_path / path)
+            recover_recording(tmp_path / path)
         assert not recovered_folder(tmp_path / path).exists()
     with pytest.raises(BagError, match='it exists already; choose another folder'):
-        recover(whole, tmp_path / 'folder')
+        recover_recording(whole, tmp_path / 'folder')
     with pytest.raises(BagError, match='it cannot be created'):
-        recover(whole, tmp_path / 'text.mcap' / 'deeper')
+        recover_recording(whole, tmp_path / 'text.mcap' / 'deeper')
 
 
 def test_a_file_with_nothing_but_a_front_gives_an_empty_bag(whole: Path, tmp_path: Path) -> None:
     data = (whole / 'bag_0.mcap').read_bytes()
     for size in (8, 20, 200):
         (tmp_path / f'{size}.mcap').write_bytes(data[:size])
-        assert kept(recover(tmp_path / f'{size}.mcap').folder) == []
+        assert kept(recover_recording(tmp_path / f'{size}.mcap').folder) == []
 
 
 def test_two_types_on_one_topic_keep_the_first(tmp_path: Path) -> None:
     first = write(tmp_path / 'bag', MESSAGES[:20])
     other = write(tmp_path / 'b', [MESSAGES[0]._replace(topic='/flock/poses', log_ns=10**18)])
     shutil.move(other / 'b_0.mcap', first / 'bag_1.mcap')
-    result = recover(first)
+    result = recover_recording(first)
     assert kept(result.folder) == MESSAGES[:20]
     assert result.lost_bytes == len(MESSAGES[0].data)

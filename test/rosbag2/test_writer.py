@@ -22,11 +22,11 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 import shepherd_ros
 from shepherd_ros.config import ConfigError
+from shepherd_ros.recordings.writer import RecordingWriter
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.metadata import Metadata
 from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.rosbag2.recover import recover
-from shepherd_ros.rosbag2.writer import BagWriter
 from shepherd_ros.wire.contract import contract_hash, known, topic_hashes, type_hash
 from shepherd_ros.wire.schemas import schema_text, wire_types
 import yaml
@@ -157,7 +157,7 @@ def test_the_bag_explains_itself(tmp_path: Path) -> None:
 
 
 def test_an_empty_bag_can_be_read(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / 'bag') as writer:
+    with RecordingWriter(tmp_path / 'bag') as writer:
         writer.add_topic('/episode', STRING)
     bag = open_bag(tmp_path / 'bag')
     assert (bag.count, list(bag.messages()), list(bag.topics)) == (0, [], ['/episode'])
@@ -215,14 +215,14 @@ def test_an_existing_folder_is_not_touched(tmp_path: Path) -> None:
     folder = tiny_bag(tmp_path / 'bag')
     before = {path: path.read_bytes() for path in folder.iterdir()}
     with pytest.raises(BagError, match='it exists already; choose another folder'):
-        BagWriter(folder)
+        RecordingWriter(folder)
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
 
 
 def test_a_place_where_nothing_can_be_written(tmp_path: Path) -> None:
     (tmp_path / 'file').write_text('')
     with pytest.raises(BagError, match=r'file/bag: it cannot be created .Not a directory.; free'):
-        BagWriter(tmp_path / 'file' / 'bag')
+        RecordingWriter(tmp_path / 'file' / 'bag')
 
 
 @pytest.mark.parametrize(
@@ -237,12 +237,12 @@ def test_a_place_where_nothing_can_be_written(tmp_path: Path) -> None:
 )
 def test_wrong_options_are_refused(tmp_path: Path, options: dict[str, Any], what: str) -> None:
     with pytest.raises(ConfigError, match=what):
-        BagWriter(tmp_path / 'bag', **options)
+        RecordingWriter(tmp_path / 'bag', **options)
     assert not (tmp_path / 'bag').exists()
 
 
 def test_wrong_use_is_refused_and_the_bag_goes_on(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / 'bag') as writer:
+    with RecordingWriter(tmp_path / 'bag') as writer:
         writer.add_topic('/episode', STRING)
         writer.add_topic('/episode', STRING)
         with pytest.raises(BagError, match='has type std_msgs/msg/String and is offered as'):
@@ -261,7 +261,7 @@ def test_wrong_use_is_refused_and_the_bag_goes_on(tmp_path: Path) -> None:
 
 
 def test_a_type_from_elsewhere_comes_with_its_text(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / 'bag') as writer:
+    with RecordingWriter(tmp_path / 'bag') as writer:
         writer.add_topic('/n', 'own_msgs/msg/N', schema=('ros2msg', b'int32 n\n'), hash_text='H')
         writer.write('/n', b'\0\1\0\0\7\0\0\0', 1, 1)
     (message,) = ros2(tmp_path / 'bag' / 'bag_0.mcap')
@@ -269,7 +269,7 @@ def test_a_type_from_elsewhere_comes_with_its_text(tmp_path: Path) -> None:
 
 
 def test_a_mistake_outside_does_not_cost_the_bag(tmp_path: Path) -> None:
-    with pytest.raises(ZeroDivisionError), BagWriter(tmp_path / 'bag') as writer:
+    with pytest.raises(ZeroDivisionError), RecordingWriter(tmp_path / 'bag') as writer:
         writer.add_topic('/episode', STRING)
         writer.write('/episode', MESSAGES[0].data, 5, 4)
         _ = 1 / 0
@@ -280,8 +280,8 @@ def test_a_mistake_outside_does_not_cost_the_bag(tmp_path: Path) -> None:
 
 WRITE_FOREVER = """
 import sys
-from shepherd_ros.rosbag2.writer import BagWriter
-with BagWriter(sys.argv[1], chunk_size=16384) as writer:
+from shepherd_ros.recordings.writer import RecordingWriter
+with RecordingWriter(sys.argv[1], chunk_size=16384) as writer:
     writer.add_topic('/t', 'std_msgs/msg/String')
     for k in range(10**9):
         text = f'{k:0>991}'.encode() + bytes(1)
@@ -333,7 +333,7 @@ def test_a_full_disk_is_told_and_what_is_there_stays_readable(tmp_path: Path, si
 
 
 def test_a_chunk_on_the_disk_can_be_read_while_the_recording_goes_on(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / 'bag') as writer:
+    with RecordingWriter(tmp_path / 'bag') as writer:
         writer.add_topic('/t', STRING)
         for k in range(3):
             writer.write('/t', MESSAGES[0].data, LOG_START_NS + k, 0)

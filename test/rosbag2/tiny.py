@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from rosbags.typesys import get_typestore, Stores
-from shepherd_ros.rosbag2.qos import Qos
+from shepherd_ros.recordings.writer import offered_qos, RecordingWriter
 from shepherd_ros.rosbag2.writer import BagWriter
 from shepherd_ros.sim.lidar import LidarConfig, scan
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
@@ -24,7 +24,7 @@ from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import step
 from shepherd_ros.sim.world import WorldConfig
-from shepherd_ros.wire.contract import known
+from shepherd_ros.wire.contract import known, known_text, type_hash
 from shepherd_ros.wire.topics import contract
 import torch
 
@@ -192,14 +192,19 @@ def recording(steps: int = STEPS) -> tuple[tuple[Sent, ...], tuple[Truth, ...]]:
     return tuple(sent), tuple(truth)
 
 
-def write(folder: Path, messages: Iterable[Sent], **options: Any) -> Path:
-    """Write messages as a bag, each topic with the profile of the contract; return the folder."""
+def write(folder: Path, messages: Iterable[Sent], *, own: bool = True, **options: Any) -> Path:
+    """
+    Write messages as a bag, each topic with the profile of the contract; return the folder.
+
+    own=False: without what recordings of the project say of themselves.
+    """
     profiles = contract()[1]
-    with BagWriter(folder, **options) as writer:
+    with (RecordingWriter if own else BagWriter)(folder, **options) as writer:
         for topic, kind, data, log_ns, publish_ns in messages:
             ours = known(topic)
-            qos = [Qos.of_profile(profiles[ours.topic.profile])] if ours else []
-            writer.add_topic(topic, kind, qos)
+            qos = [offered_qos(profiles[ours.topic.profile])] if ours else []
+            schema = 'ros2msg', known_text(kind)
+            writer.add_topic(topic, kind, qos, schema=schema, hash_text=type_hash(kind))
             writer.write(topic, data, log_ns, publish_ns)
     return folder
 

@@ -1,0 +1,84 @@
+"""Writer of recordings: bags that say which contract their topics are of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+import json
+from pathlib import Path
+from typing import Any
+
+from shepherd_ros import __version__
+from shepherd_ros.rosbag2.qos import Qos
+from shepherd_ros.rosbag2.recover import recover, RecoverResult
+from shepherd_ros.rosbag2.writer import BagWriter
+from shepherd_ros.wire.contract import contract_hash, known, known_text, topic_hashes, type_hash
+from shepherd_ros.wire.decode import CdrError, decode_string
+from shepherd_ros.wire.topics import EPISODE, Profile
+
+VERSION_KEY = 'shepherd_ros.version'
+CONTRACT_KEY = 'shepherd_ros.contract'
+TOPICS_KEY = 'shepherd_ros.topics'  # JSON: topic_hashes()
+EPISODE_KEY = 'shepherd_ros.episode'
+LOST_KEY = 'shepherd_ros.lost'  # JSON: how many messages the recorder missed, by topic
+
+
+def _keep_episode(custom_data: dict[str, str], topic: str, cdr: bytes) -> None:
+    """Take the first episode into the custom data of a recording."""
+    if CONTRACT_KEY in custom_data and EPISODE_KEY not in custom_data:
+        ours = known(topic)
+        if ours is not None and ours.topic.name == EPISODE:
+            with suppress(CdrError):
+                custom_data[EPISODE_KEY] = decode_string(cdr)
+
+
+def recover_recording(
+    path: Path | str, folder: Path | str | None = None, *, compression: str = 'none'
+) -> RecoverResult:
+    """Return what recover() does; the first episode goes into the metadata as in recordings."""
+    return recover(path, folder, compression=compression, on_message=_keep_episode)
+
+
+def offered_qos(profile: Profile) -> Qos:
+    """Return what a publisher with a profile of the contract offers."""
+    return Qos(profile.reliability, profile.durability, 'keep_last', profile.depth)
+
+
+class RecordingWriter(BagWriter):
+    """
+    Writes one bag; use it in a with statement.
+
+    The version of the package, hashes of the contract and the first episode go into the metadata,
+    beside custom_data. Types of the contract need no schema.
+    """
+
+    def __init__(
+        self, folder: Path | str, *, custom_data: Mapping[str, str] | None = None, **options: Any
+    ) -> None:
+        """Create the folder, which must not exist; options are those of BagWriter."""
+        data = dict(custom_data or {})
+        data.setdefault(VERSION_KEY, __version__)
+        if CONTRACT_KEY not in data:
+            data[CONTRACT_KEY] = contract_hash()
+            data[TOPICS_KEY] = json.dumps(topic_hashes(), separators=(',', ':'))
+        super().__init__(folder, custom_data=data, **options)
+
+    def add_topic(
+        self,
+        name: str,
+        type_name: str,
+        qos: Sequence[Qos] = (),
+        *,
+        schema: tuple[str, bytes] | None = None,
+        hash_text: str | None = None,
+    ) -> None:
+        """Announce a topic; schema and hash_text are those of the contract by default."""
+        if schema is None:
+            schema = 'ros2msg', known_text(type_name)
+            hash_text = type_hash(type_name) if hash_text is None else hash_text
+        super().add_topic(name, type_name, qos, schema=schema, hash_text=hash_text or '')
+
+    def write(self, topic: str, cdr: bytes, log_ns: int, publish_ns: int) -> None:
+        """Write a message: when it was received and when it was sent [ns]; raises BagError."""
+        _keep_episode(self.custom_data, topic, cdr)
+        super().write(topic, cdr, log_ns, publish_ns)
