@@ -17,11 +17,12 @@ from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.lidar import LidarConfig
+from shepherd_ros.sim.limits import MAX_SHEEP, MAX_SHEPHERDS
 from shepherd_ros.sim.observation import ObservationConfig
 from shepherd_ros.sim.presets import evaluation_world, PRESETS, training_world, world_preset
 from shepherd_ros.sim.reward import RewardConfig
 from shepherd_ros.sim.rollout import EnvConfig
-from shepherd_ros.sim.world import MAX_SHEEP, MAX_SHEPHERDS, SpawnConfig, WorldConfig
+from shepherd_ros.sim.world import SpawnConfig, WorldConfig
 
 CLASSES: list[type[Config]] = [
     EnvConfig,
