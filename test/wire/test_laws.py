@@ -65,7 +65,9 @@ MADE: dict[str, st.SearchStrategy[tuple[bytes, Any]]] = {
         lambda *a: (encode_command(*a), vector(*a)), NS, TEXT, *XY
     ),
     'rosgraph_msgs/msg/Clock': st.builds(lambda ns: (encode_clock(ns), ns), NS),
-    'sensor_msgs/msg/LaserScan': st.builds(scan, NS, TEXT, RANGES, st.floats(0, width=32)),
+    'sensor_msgs/msg/LaserScan': st.builds(
+        scan, NS, TEXT, RANGES, st.floats(0, 2.0**100, width=32)
+    ),
     'std_msgs/msg/Float64': st.builds(lambda x: (encode_number(x), x), NUMBER),
     'std_msgs/msg/String': st.builds(lambda text: (encode_text(text), text), TEXT),
 }
