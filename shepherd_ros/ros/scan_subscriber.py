@@ -75,7 +75,7 @@ class ScanListener:
             name
             for h, parts in self._parts.items()
             for channel in self.channels
-            for name in [f'shepherd_{h}/scan/{channel}']
+            for name in [scan_topic(channel).format(h=h)]
             if channel not in parts and not self.node.count_publishers(name)
         ]
 
