@@ -56,7 +56,7 @@ def forms(rounds: int, size: int) -> list[dict[str, Any]]:
     rollout = small_rollout(Policy(FROM_SCRATCH), decisions, torch.float32)
     batch, _ = rollout.collect(0.96, 0.95, 1.0)
     chosen = torch.randperm(len(batch.value))[:size]
-    frames = rollout.store.flatten(0, 3)[batch.rows[chosen]]
+    frames = rollout.store.frames(batch.rows[chosen])
     nets = {'types': Policy(FROM_SCRATCH), 'ring': Policy(RING)}
     inputs = {name: p.arranged(frames, batch.first[chosen]) for name, p in nets.items()}
 
@@ -103,7 +103,7 @@ def ppo(rounds: int, decisions: int, repeat: int) -> tuple[list[dict[str, Any]],
     made = len(batch.value)
     learned = made // config.minibatch * config.minibatch  # whole minibatches
     batch = replace(batch, **{f.name: getattr(batch, f.name)[:learned] for f in fields(batch)})
-    x = rollout.inputs(batch.rows, batch.first)
+    x = rollout.store.inputs(batch.rows, batch.first)
     at_once = x[: made // decisions]
 
     def collect() -> None:
@@ -127,7 +127,7 @@ def ppo(rounds: int, decisions: int, repeat: int) -> tuple[list[dict[str, Any]],
             'bare forward': bare_forward,
             'rollout': collect,
             'bare forward and backward': bare_both,
-            'update': lambda: learner.update(rollout, batch, draw),
+            'update': lambda: learner.update(rollout.store, batch, draw),
         },
         rounds,
     )
@@ -147,7 +147,7 @@ def rollout_shares(rollout: Rollout, collect: Callable[[], None], rounds: int) -
     told: dict[str, float] = {}
     parts = {
         'simulator': [(g, name) for g in rollout.groups for name in ('hold', 'begin')],
-        'lidar': [(rollout, '_see')],
+        'lidar': [(rollout.store, 'put')],
         'network': [(net, 'forward') for net in (rollout.policy.actor, rollout.policy.critic)],
     }
     with shares_of(parts, told):

@@ -19,7 +19,7 @@ from shepherd_ros.controllers.policy import require_same_world
 from shepherd_ros.experiments.methods import checkpoint_of, full_name
 from shepherd_ros.learning.clone import CloneConfig, Cloner, Examples
 from shepherd_ros.learning.dagger_bags import Visits
-from shepherd_ros.learning.rollout import Group
+from shepherd_ros.learning.group import Group
 from shepherd_ros.learning.run_folder import Run
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.validation import judge

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from shepherd_ros.config import ConfigError
-from shepherd_ros.learning.rollout import Group
+from shepherd_ros.learning.group import Group
 from shepherd_ros.recordings.record import (
     close_bags,
     episode_folder,

@@ -7,7 +7,8 @@ from typing import Any
 
 from shepherd_ros.config import Config, option
 from shepherd_ros.learning.distributed import add_up, least, ranks, total
-from shepherd_ros.learning.rollout import Batch, log_prob, Rollout
+from shepherd_ros.learning.rollout import Batch, log_prob
+from shepherd_ros.learning.store import Store
 from shepherd_ros.policy.policy import Policy
 import torch
 from torch import nn, Tensor
@@ -107,7 +108,7 @@ class Learner:
         self.critic.param_groups[0]['lr'] = self.config.critic_rate * share
 
     def update(
-        self, rollout: Rollout, batch: Batch, generator: torch.Generator, actor: bool = True
+        self, store: Store, batch: Batch, generator: torch.Generator, actor: bool = True
     ) -> dict[str, float]:
         """
         Learn from a batch, in place; return what to watch. actor False: critic only.
@@ -132,7 +133,7 @@ class Learner:
             ]
             for chosen in parts[: least(len(parts))]:
                 share = len(chosen) / total(len(chosen))  # of the samples of this step
-                x = rollout.inputs(batch.rows[chosen], batch.first[chosen])
+                x = store.inputs(batch.rows[chosen], batch.first[chosen])
                 if acting:
                     mean, std = self.policy.actor(x)
                     log_ratio = log_prob(batch.action[chosen], mean, std) - batch.log_prob[chosen]

@@ -88,7 +88,7 @@ class Training:
         batch, seen = self.rollout.collect(gamma, config.ppo.decay, scale)
         collected = time.monotonic()
         acting = self.progress['updates'] >= config.critic_first
-        seen |= self.learner.update(self.rollout, batch, self.generator, acting)
+        seen |= self.learner.update(self.rollout.store, batch, self.generator, acting)
         self.rollout.roll()
         self.progress['samples'] += int(total(len(batch.value)))
         self.progress['updates'] += 1

@@ -65,7 +65,8 @@ class ShepherdEnv:
         self.moment = last = advance(self.moment, action)
         if self.lidar:
             self._see(self.frames.push(self._window, last.ranges))
-        ended = last.terminated | last.truncated
+        terminated, truncated = last.terminated, last.truncated
+        ended = terminated | truncated
         info: dict[str, Any] = {'reward_terms': last.reward_terms}
         if ended.any():
             info |= {
@@ -77,7 +78,7 @@ class ShepherdEnv:
             self.moment = restart(last, ended, fresh)
             if self.lidar:
                 self._see(self.frames.restart(self._window, self.moment.ranges, ended))
-        return self.stack, last.reward, last.terminated, last.truncated, info
+        return self.stack, last.reward, terminated, truncated, info
 
     def metrics(self) -> dict[str, Tensor]:
         """Return the metrics of the running episodes so far, (B,) each."""

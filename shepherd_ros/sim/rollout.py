@@ -77,7 +77,7 @@ class Moment:
         """Return where the task ends, (...) bool: nowhere, as it goes on to its time limit."""
         return torch.zeros_like(self.truncated)
 
-    @property
+    @cached_property
     def truncated(self) -> Tensor:
         """Return where the time limit is reached, (...) bool; values are to be bootstrapped."""
         return self.state.step >= self.config.world.episode_steps
@@ -111,7 +111,7 @@ def arrive(moment: Moment, state: WorldState) -> Moment:
     tally = moment.tally
     if tally is not None:
         tally = count_step(tally, moment.state, state)
-    return replace(moment, state=state, before=moment.state, tally=tally)
+    return Moment(moment.config, state, moment.state, tally)
 
 
 def restart(moment: Moment, ended: Tensor, state: WorldState) -> Moment:

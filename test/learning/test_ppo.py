@@ -109,7 +109,7 @@ def test_ppo_learns_to_go_to_the_goal() -> None:
     rewards = []
     for _ in range(25):
         batch, seen = rollout.collect(config.gamma, config.decay, 0.25)
-        learner.update(rollout, batch, generator)
+        learner.update(rollout.store, batch, generator)
         rollout.roll()
         rewards.append(seen['reward'])
     before, after = sum(rewards[:4]) / 4, sum(rewards[-4:]) / 4

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import pytest
 from shepherd_ros.config import ConfigError
+from shepherd_ros.learning.group import Group, team_reward
 from shepherd_ros.learning.ppo import Learner, PPOConfig
-from shepherd_ros.learning.rollout import Group, Rollout, team_reward
+from shepherd_ros.learning.rollout import Rollout
 from shepherd_ros.learning.task import draw_environment, TaskConfig
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
@@ -60,7 +61,7 @@ def test_inputs_rewards_and_values_are_those_of_the_environment(
     stack, _ = env.reset(int(group.moment.state.seed[0]))
     scale = 7.0
     batch, _ = rollout.collect(0.5, 0.0, scale)
-    masks = rollout.mask[0, rollout.before : rollout.before + DECISIONS]
+    masks = rollout.store.mask[0, rollout.store.before :][:DECISIONS]
     place = 0
     for t in range(min(DECISIONS, STEPS // repeat)):
         mask = masks[t]
@@ -71,7 +72,9 @@ def test_inputs_rewards_and_values_are_those_of_the_environment(
         frames = stack[mask]
         first = policy.first_ray(frames[:, -1])
         x = policy.arranged(policy.scaled(frames), first)
-        torch.testing.assert_close(rollout.inputs(batch.rows[chosen], batch.first[chosen]), x)
+        torch.testing.assert_close(
+            rollout.store.inputs(batch.rows[chosen], batch.first[chosen]), x
+        )
         value = policy.critic(x)
         torch.testing.assert_close(batch.value[chosen], value, atol=1e-5, rtol=1e-5)
         command = torch.zeros(WORLDS, TASK.shepherds_max, 2)
@@ -115,11 +118,11 @@ def test_frames_do_not_reach_over_the_start_of_an_episode() -> None:
     rollout = rollout_of(policy)
     for _ in range(4):
         batch, _ = rollout.collect(0.9, 0.9, 1.0)
-        rows = rollout.mask.shape[1]
+        rows = rollout.store.mask.shape[1]
         per_row = WORLDS * TASK.shepherds_max
         group, row = batch.rows // (rows * per_row), batch.rows // per_row % rows
         newest = row[:, -1]
-        begun = rollout.begun[group[:, -1], newest]
+        begun = rollout.store.begun[group[:, -1], newest]
         assert (row >= begun[:, None]).all()
         back = torch.tensor([4, 2, 0])
         assert torch.equal(row, torch.maximum(newest[:, None] - back, begun[:, None]))
@@ -131,11 +134,10 @@ def numbers(policy: Policy, rollout: Rollout, updates: int) -> list[Tensor]:
     learner, generator = Learner(policy, PPOConfig(minibatch=64)), torch.Generator().manual_seed(1)
     for _ in range(updates):
         batch, _ = rollout.collect(0.9, 0.9, 1.0)
-        learner.update(rollout, batch, generator)
+        learner.update(rollout.store, batch, generator)
         rollout.roll()
-    return [p.detach().clone() for p in policy.parameters()] + [
-        rollout.groups[0].moment.state.sheep
-    ]
+    weights = [p.detach().clone() for p in policy.parameters()]
+    return [*weights, rollout.groups[0].moment.state.sheep]
 
 
 def test_the_same_seed_gives_the_same_training() -> None:

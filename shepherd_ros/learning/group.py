@@ -1,0 +1,95 @@
+"""Groups of worlds that a learner acts in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import Any
+
+from shepherd_ros.learning.task import draw_environment, TaskConfig
+from shepherd_ros.sim.lidar import LidarConfig
+from shepherd_ros.sim.rollout import advance, Moment, start
+from shepherd_ros.sim.spawn import spawn
+from shepherd_ros.sim.state import WorldState
+import torch
+from torch import Tensor
+
+CPU = torch.device('cpu')
+SEEDS_APART = 1_000_003  # from an episode of a group to its next
+
+Reward = Callable[[Moment], Tensor]  # of each shepherd after a step, (B, H)
+
+
+def team_reward(moment: Moment) -> Tensor:
+    """Return the paper's reward, the same for all of a team."""
+    return moment.reward[:, None].expand(moment.state.shepherd_mask.shape)
+
+
+class Group:
+    """Worlds of one configuration, which begin and end their episodes together."""
+
+    def __init__(
+        self,
+        task: TaskConfig,
+        index: int,
+        n_worlds: int,
+        seed: int,
+        lidar: LidarConfig,
+        *,
+        count: bool = False,
+        device: torch.device = CPU,
+    ) -> None:
+        """Make the group; begin() starts its first episode. count: with the tally of metrics."""
+        self.task, self.index, self.n_worlds, self.seed = task, index, n_worlds, seed
+        self.lidar, self.count, self.device = lidar, count, device
+        self.episode = 0
+        self.terms: dict[str, Tensor] = {}  # sums over steps of the mean of each term
+
+    moment: Moment
+    left: int  # steps until the episode is cut
+
+    def begin(self, steps: int) -> None:
+        """Start an episode of so many steps, in a world that is drawn from the task."""
+        seed = self.seed + SEEDS_APART * self.episode + 1000 * self.index
+        config = replace(draw_environment(self.task, seed), lidar=self.lidar)
+        seeds = seed + torch.arange(self.n_worlds, device=self.device)
+        self.moment = start(spawn(config.world, seeds), config, self.count)
+        self.left, self.episode = steps, self.episode + 1
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the episode and where it is."""
+        now = self.moment.state
+        state = {f.name: getattr(now, f.name) for f in fields(now)}
+        return {'episode': self.episode, 'left': self.left, 'state': state}
+
+    def load_state_dict(self, kept: dict[str, Any]) -> None:
+        """Go on from what state_dict() gave."""
+        self.episode = kept['episode'] - 1
+        self.begin(kept['left'])
+        state = {name: t.to(self.device) for name, t in kept['state'].items()}
+        self.moment = start(WorldState(**state), self.moment.config, self.count)
+
+    def step(self, command: Tensor) -> None:
+        """Go on by a step with a command (B, H, 2) m/s."""
+        self.moment = advance(self.moment, command)
+        self.left -= 1
+
+    def hold(self, command: Tensor, repeat: int, reward: Reward) -> Tensor:
+        """
+        Hold a command (B, H, 2) m/s for some steps; return the sum of the rewards, (B, H).
+
+        What the way costs, `effort`, is each shepherd's own, and no term of its team's reward.
+        """
+        total, effort = command.new_zeros(command.shape[:-1]), self.task.effort
+        for _ in range(repeat):
+            self.step(command)
+            now = self.moment
+            total += reward(now)
+            terms = now.reward_terms
+            if effort > 0:
+                way = torch.linalg.vector_norm(now.state.shepherds - now.before.shepherds, dim=-1)
+                total -= effort * way
+                terms = terms | {'effort': -effort * way}
+            for name, term in terms.items():
+                self.terms[name] = self.terms.get(name, 0.0) + term.mean()
+        return total

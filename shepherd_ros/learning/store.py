@@ -1,0 +1,83 @@
+"""The store of a rollout: what shepherds saw, kept once for all decisions that show it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from shepherd_ros.policy.policy import Policy
+from shepherd_ros.sim.rollout import Moment
+import torch
+from torch import Tensor
+
+
+class Store:
+    """
+    Readings of groups of worlds, a row for each decision; windows of frames move over the rows.
+
+    Readings are scaled, in the dtype of the work; stacks of frames are put together when they are
+    read, and do not reach over the start of an episode.
+    """
+
+    KEPT = ('store', 'first', 'begun', 'mask')
+
+    def __init__(
+        self,
+        policy: Policy,
+        groups: int,
+        worlds: int,
+        team: int,
+        decisions: int,
+        dtype: torch.dtype,
+    ) -> None:
+        """Make an empty store for so many decisions, on the device of the policy."""
+        self.policy, self.decisions, device = policy, decisions, policy.device
+        self.before = policy.config.frames.window - 1  # rows kept from earlier decisions
+        shape = (groups, self.before + decisions + 1, worlds, team)
+        scan = policy.config.lidar.layout.shape
+        self.store = torch.zeros(*shape, *scan, dtype=dtype, device=device)
+        self.first = torch.zeros(shape, dtype=torch.int64, device=device)
+        # row in which the episode began
+        self.begun = torch.zeros(shape[:2], dtype=torch.int64, device=device)
+        self.mask = torch.zeros(shape, dtype=torch.bool, device=device)
+
+    def put(self, group: int, row: int, moment: Moment, starts: bool = False) -> None:
+        """Put what a group sees now in a row; starts: its episode begins there."""
+        self.store[group, row] = self.policy.scaled(moment.ranges).to(self.store.dtype)
+        self.first[group, row] = self.policy.first_ray(moment.ranges)
+        self.begun[group, row] = row if starts else self.begun[group, row - 1]
+        self.mask[group, row] = moment.state.shepherd_mask
+
+    def present(self, row: int, groups: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return indices (n,) of the shepherds of some groups that are there in a row."""
+        g, world, shepherd = self.mask[groups, row].nonzero().unbind(dim=-1)
+        return groups[g], torch.full_like(g, row), world, shepherd
+
+    def rows_of(self, g: Tensor, row: Tensor, world: Tensor, shepherd: Tensor) -> Tensor:
+        """Return the rows (n, K) of the flat store that hold the frames of n decisions."""
+        seen = self.policy.config.frames.rows(row, self.begun[g, row])
+        _, rows, worlds, team = self.mask.shape
+        return ((g[:, None] * rows + seen) * worlds + world[:, None]) * team + shepherd[:, None]
+
+    def frames(self, rows: Tensor) -> Tensor:
+        """Return the frames (n, K, C, R) in rows (n, K) of the flat store."""
+        return self.store.flatten(0, 3)[rows]
+
+    def inputs(self, rows: Tensor, first: Tensor) -> Tensor:
+        """Return the network's input (n, D, L) for rows (n, K) of the flat store."""
+        return self.policy.arranged(self.frames(rows), first)
+
+    def roll(self) -> None:
+        """Make room for the next decisions; rows of the last ones are void afterwards."""
+        for kept in (self.store, self.first, self.mask):
+            kept[:, : self.before + 1] = kept[:, self.decisions :].clone()
+        begun = self.begun[:, self.decisions :] - self.decisions
+        self.begun[:, : self.before + 1] = begun.clamp(min=0)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what later decisions see, after roll()."""
+        return {name: getattr(self, name)[:, : self.before + 1].clone() for name in self.KEPT}
+
+    def load_state_dict(self, kept: dict[str, Any]) -> None:
+        """Go on from what state_dict() gave."""
+        for name in self.KEPT:
+            getattr(self, name)[:, : self.before + 1] = kept[name]
