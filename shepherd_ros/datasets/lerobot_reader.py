@@ -245,7 +245,6 @@ def _numbers(column: Any, path: Path) -> np.ndarray:
 def _parts(values: np.ndarray) -> Iterator[slice]:
     """Yield the slices in which values (E,) are equal."""
     edges = np.nonzero(np.diff(values))[0] + 1
-    bounds = [0, *edges.tolist(), len(values)]
-    for a, b in pairwise(bounds):
+    for a, b in pairwise([0, *edges.tolist(), len(values)]):
         if b > a:
             yield slice(a, b)
