@@ -1,8 +1,12 @@
-"""The rooms of CONTRIBUTING.md: floors, who may import what, no circles."""
+"""The rooms of CONTRIBUTING.md: floors, who may import what, no circles, short files."""
 
 from __future__ import annotations
 
+import ast
+from collections.abc import Iterator
+from itertools import groupby, pairwise
 from pathlib import Path
+import re
 import shutil
 import subprocess
 import sys
@@ -14,6 +18,8 @@ grimp = pytest.importorskip('grimp')
 pytest.importorskip('importlinter')
 
 ROOT = Path(__file__).resolve().parents[1]
+SHORT = ('shepherd_ros', 'scripts', 'benchmarks', 'launch')  # folders whose files are short
+LONGEST_FILE, LONGEST_FUNCTION, LONGEST_SCRIPT = 250, 50, 39  # lines
 PROJECT = tomllib.loads((ROOT / 'pyproject.toml').read_text(encoding='utf-8'))
 CONTRACTS = PROJECT['tool']['importlinter']['contracts']
 LINT = 'import sys, importlinter.cli as cli; sys.exit(cli.lint_imports_command())'
@@ -85,3 +91,51 @@ def test_nothing_may_import_what_it_does_not(graph: grimp.ImportGraph) -> None:
                 for name in used
                 for package in rule['protected_modules']
             ), f'{importer} imports nothing of {rule["id"]}'
+
+
+def ways() -> list[list[str]]:
+    """Return the chains of calls in CONTRIBUTING.md, from the outermost file to each file."""
+    text = (ROOT / 'CONTRIBUTING.md').read_text(encoding='utf-8')
+    chains: list[list[str]] = []
+    for line in re.findall(r'^ *[a-z_]+/[a-z_/]+\.py', text, re.MULTILINE):
+        depth = (len(line) - len(line.lstrip())) // 2
+        chains.append([*(chains[-1][:depth] if depth else []), line.strip()])
+    return chains
+
+
+def test_the_ways_through_the_code_are_calls_that_enter_no_room_twice(
+    graph: grimp.ImportGraph,
+) -> None:
+    assert len(ways()) > 50
+    for chain in ways():
+        names = [
+            'shepherd_ros.' + file.removesuffix('.py').removesuffix('/__init__').replace('/', '.')
+            for file in chain
+        ]
+        assert names[-1] in graph.modules
+        for caller, called in pairwise(names):
+            assert graph.direct_import_exists(importer=caller, imported=called), chain
+        rooms = [room for room, _ in groupby(file.split('/')[0] for file in chain)]
+        assert len(rooms) == len(set(rooms)), chain
+
+
+def lengths(path: Path) -> Iterator[tuple[str, int]]:
+    """Yield the functions of a file and how many lines each has."""
+    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield node.name, (node.end_lineno or 0) - node.lineno + 1
+
+
+def test_files_and_functions_are_short() -> None:
+    long = {}
+    for path in sorted(path for folder in SHORT for path in (ROOT / folder).rglob('*.py')):
+        name = path.relative_to(ROOT).as_posix()
+        verb = name.startswith('scripts/') and name != 'scripts/generate.py'  # or near to one
+        limit = LONGEST_SCRIPT if verb else LONGEST_FILE
+        lines = path.read_text(encoding='utf-8').count('\n')
+        if lines > limit:
+            long[name] = lines
+        for function, lines in lengths(path):
+            if lines > LONGEST_FUNCTION:
+                long[f'{name}: {function}'] = lines
+    assert long == {}

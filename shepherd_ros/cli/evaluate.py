@@ -13,6 +13,9 @@ from shepherd_ros.experiments.arguments import ManySettings
 import tyro
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from shepherd_ros.experiments.campaign import Task
     from shepherd_ros.experiments.catalog import Experiment
     from shepherd_ros.experiments.results import Rows
     from shepherd_ros.experiments.setting import Setting
@@ -77,28 +80,16 @@ class Evaluate(ManySettings):
         wait_for_all()  # a file that is read is not replaced meanwhile
         there = done_of(mine, rows)
         missing = [task for task in mine if task not in there]
-        columns = Progress.get_default_columns()[:3]
-        ended: list[Cell] = []
-        columns = (*columns, TimeElapsedColumn(), TimeRemainingColumn())
+        code, ended = commit(), 0
+        columns = (*Progress.get_default_columns()[:3], TimeElapsedColumn(), TimeRemainingColumn())
         with Progress(*columns, disable=rank() > 0) as progress:
-            total = sum(task.cell.cost() for task in missing)
-            left = progress.add_task('cells', total=total)
-            print(
-                f'{sum(t.cell.count for t in mine)} episodes in {len(mine)} cells, '
-                f'{len(mine) - len(missing)} of them done; about {total / 60:.0f} minutes of one '
-                'core are left'
-            )
-            code = commit()
-            others = [name for name in codes_of(there, rows) if name != code]
-            if others:
-                print(
-                    f'done by other code: {", ".join(name or "unknown" for name in others)}; this '
-                    f'is {code or "unknown"}, give another --out to measure with it'
-                )
+            left = progress.add_task('cells', total=sum(task.cell.cost() for task in missing))
+            _tell(mine, missing, code, codes_of(there, rows))
 
             def done(cell: Cell) -> None:
-                ended.append(cell)
-                text = f'{len(ended)} of {len(missing)} cells'
+                nonlocal ended
+                ended += 1
+                text = f'{ended} of {len(missing)} cells'
                 progress.update(left, advance=cell.cost(), description=text)
 
             run_tasks(self.out, missing, self.workers, code, done)
@@ -139,6 +130,22 @@ class Evaluate(ManySettings):
                 path = self.out / f'{experiment.name}.md'
                 path.write_text(markdown(samples), encoding='utf-8')
                 print(path, *samples.notes, sep='\n')
+
+
+def _tell(mine: list[Task], missing: list[Task], code: str, codes: Sequence[str]) -> None:
+    """Print what there is to do, and by which other code the rest was done."""
+    minutes = sum(task.cell.cost() for task in missing) / 60
+    print(
+        f'{sum(t.cell.count for t in mine)} episodes in {len(mine)} cells, '
+        f'{len(mine) - len(missing)} of them done; about {minutes:.0f} minutes of one '
+        'core are left'
+    )
+    others = [name or 'unknown' for name in codes if name != code]
+    if others:
+        print(
+            f'done by other code: {", ".join(others)}; this is {code or "unknown"}, give another '
+            '--out to measure with it'
+        )
 
 
 def _with_values(
