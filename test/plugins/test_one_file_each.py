@@ -8,8 +8,8 @@ from pathlib import Path
 import subprocess
 import sys
 
+from cli.test_train_verbs import LESSONS, NETWORK, TINY
 import pytest
-from test_train_verbs import LESSONS, NETWORK, TINY
 
 HERE = Path(__file__).parent
 WORLD = '--sheep 4 --shepherds 2 --steps 12'
