@@ -39,7 +39,7 @@ class PiersonConfig(Config):
     min_radius: float = option(4.0, 'smallest arc radius [m]', low=0.0)
     max_radius: float = option(
         0.0,
-        'largest arc radius [m]; 0: 3/4 of r_s of a Strömbom flock, else of its default',
+        'largest arc radius [m]; 0: 3/4 of the range at which sheep notice, of r_s for Reynolds',
         low=0.0,
     )
     tracking_gain: float = option(
