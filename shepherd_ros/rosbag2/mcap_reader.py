@@ -21,11 +21,13 @@ from shepherd_ros.rosbag2.records import (
     MAGIC,
     Message,
     parse,
-    parse_chunk,
     PREFIX,
     read_at,
+    read_chunk,
+    read_record,
     Record,
     record_at,
+    take_messages,
     unpack,
     walk,
 )
@@ -106,8 +108,7 @@ class Storage:
         record = record_at(file, chunk.offset, self.size)
         if record.opcode != Opcode.CHUNK or record.end - record.offset != chunk.length:
             raise DamageError(chunk.offset, 'the index names a chunk that is not there')
-        body = read_at(file, record.body, record.length)
-        return unpack(parse_chunk(body, record.offset), record.offset)
+        return unpack(read_chunk(file, record), record.offset)
 
     # ---- opening ----
 
@@ -176,7 +177,7 @@ class Storage:
 
     def _read_note(self, file: BinaryIO, record: Record) -> None:
         """Take a metadata record of rosbag2."""
-        item = parse(record.opcode, read_at(file, record.body, record.length), record.offset)
+        item = read_record(file, record)
         if isinstance(item, MetadataRecord) and item.metadata.get('serialized_metadata'):
             self._text = item.metadata['serialized_metadata']
 
@@ -213,8 +214,7 @@ class Storage:
             elif record.opcode == Opcode.METADATA:
                 self._read_note(file, record)
             elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                body = read_at(file, record.body, record.length)
-                self._define(parse(record.opcode, body, record.offset))
+                self._define(read_record(file, record))
         self._end_run(run)
         self.start_ns = min((ref.start_ns for ref in self.chunks), default=0)
         self.end_ns = max((ref.end_ns for ref in self.chunks), default=0)
@@ -226,14 +226,10 @@ class Storage:
             run.clear()
 
     def _scan_chunk(self, file: BinaryIO, record: Record) -> None:
-        chunk = parse_chunk(read_at(file, record.body, record.length), record.offset)
+        chunk = read_chunk(file, record)
         self.compressions.add(chunk.compression)
-        messages = []
-        for item in contents(unpack(chunk, record.offset), record.offset):
-            if isinstance(item, Message):
-                messages.append(item)
-            else:
-                self._define(item)
+        items = contents(unpack(chunk, record.offset), record.offset)
+        messages = take_messages(items, self._define)
         place = record.offset, record.end - record.offset
         self._add_chunk(messages, *place, packed=True)
 

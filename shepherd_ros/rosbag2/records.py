@@ -216,6 +216,29 @@ def contents(data: bytes, offset: int) -> Iterator[Message | Schema | Channel]:
         at = end
 
 
+def read_record(file: BinaryIO, record: Record) -> Any:
+    """Return what parse() makes of a record of a file; raises DamageError."""
+    return parse(record.opcode, read_at(file, record.body, record.length), record.offset)
+
+
+def read_chunk(file: BinaryIO, record: Record) -> Chunk:
+    """Return a chunk of a file, still packed; raises DamageError."""
+    return parse_chunk(read_at(file, record.body, record.length), record.offset)
+
+
+def take_messages(
+    items: Iterator[Message | Schema | Channel], define: Callable[[Any], None]
+) -> list[Message]:
+    """Return the messages among the contents of a chunk, and define() the others in their turn."""
+    messages = []
+    for item in items:
+        if isinstance(item, Message):
+            messages.append(item)
+        else:
+            define(item)
+    return messages
+
+
 def check_magic(file: BinaryIO, path: Path) -> int:
     """Return the size of a file [bytes] that begins like MCAP; raises BagError."""
     size = file.seek(0, 2)

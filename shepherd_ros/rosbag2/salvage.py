@@ -21,12 +21,13 @@ from shepherd_ros.rosbag2.records import (
     MAGIC,
     MESSAGE,
     Message,
-    parse,
-    parse_chunk,
     PREFIX,
     read_at,
+    read_chunk,
+    read_record,
     Record,
     record_at,
+    take_messages,
     unpack,
     walk,
 )
@@ -86,13 +87,14 @@ class Salvage:
     def _read(self, file: BinaryIO, record: Record) -> list[Message]:
         """Return the messages of a record; raises DamageError."""
         if record.opcode == Opcode.CHUNK:
-            return self._sort(self._unpacked(file, record), record.offset)
+            data = unpack(read_chunk(file, record), record.offset)
+            return take_messages(contents(data, record.offset), self._define)
         if record.opcode == Opcode.MESSAGE:
             raw = read_at(file, record.offset, record.end - record.offset)
-            return self._sort(raw, record.offset)
+            return take_messages(contents(raw, record.offset), self._define)
         if record.opcode in DEFINITIONS:
             try:
-                self._define_at(file, record)
+                self._define(read_record(file, record))
             except DamageError:
                 self.lost_bytes += record.length
         elif record.opcode == Opcode.MESSAGE_INDEX:
@@ -104,24 +106,6 @@ class Salvage:
         elif record.opcode != Opcode.HEADER:
             raise DamageError(record.offset, 'a record that is not due here')
         return []
-
-    def _unpacked(self, file: BinaryIO, record: Record) -> bytes:
-        body = read_at(file, record.body, record.length)
-        return unpack(parse_chunk(body, record.offset), record.offset)
-
-    def _sort(self, data: bytes, offset: int) -> list[Message]:
-        """Return messages and keep definitions."""
-        messages = []
-        for item in contents(data, offset):
-            if isinstance(item, Message):
-                messages.append(item)
-            else:
-                self._define(item)
-        return messages
-
-    def _define_at(self, file: BinaryIO, record: Record) -> None:
-        body = read_at(file, record.body, record.length)
-        self._define(parse(record.opcode, body, record.offset))
 
     def _define(self, item: object) -> None:
         if isinstance(item, Schema):
@@ -137,7 +121,7 @@ class Salvage:
             if record.opcode in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.DATA_END):
                 return
             if record.opcode in DEFINITIONS:
-                self._define_at(file, record)
+                self._define(read_record(file, record))
 
     def _read_summary(self, file: BinaryIO) -> None:
         """Take the definitions that the end of the file repeats; raises DamageError."""
@@ -148,7 +132,7 @@ class Salvage:
             return
         for record in walk(file, start, footer):
             if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._define_at(file, record)
+                self._define(read_record(file, record))
 
     # ---- damage ----
 
@@ -174,7 +158,7 @@ class Salvage:
                     begin = match.end() - match.start() - PREFIX.size + 8
                     (length,) = struct.unpack('<Q', read_at(file, record.body + begin - 8, 8))
                     if length == record.length - begin:
-                        self._unpacked(file, record)
+                        unpack(read_chunk(file, record), record.offset)
                         return record.offset
             if len(window) < WINDOW:
                 return None
@@ -191,12 +175,8 @@ class Salvage:
             or data[PREFIX.size + 28 :][:4] != bytes(4)
         ):
             return [], 0
-        messages = []
-        for item in _until_damage(contents(data[begin:], offset)):
-            if isinstance(item, Message):
-                messages.append(item)
-            else:
-                self._define(item)
+        items = _until_damage(contents(data[begin:], offset))
+        messages = take_messages(items, self._define)
         return messages, sum(PREFIX.size + MESSAGE.size + len(m.data) for m in messages)
 
 

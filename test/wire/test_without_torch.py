@@ -14,7 +14,7 @@ FILES = (
     'recordings.grouping', 'recordings.episodes', 'recordings.check', 'recordings.info',
     'recordings.export', 'recordings.writer', 'datasets.steps', 'datasets.report',
     'datasets.lerobot_reader', 'datasets.lerobot_writer', 'cli.bag', 'ros.runtime',
-    'nodes.player_node', 'nodes.recorder_node',
+    'nodes.player_node', 'nodes.recorder_node', 'nodes.controller_probe',
 )  # fmt: skip
 
 
