@@ -86,6 +86,11 @@ class Registry(Mapping[str, E], Generic[E]):
         load_plugins()
         return iter(list(self._entries))
 
+    def loaded(self) -> Mapping[str, E]:
+        """Return all entries as they are now, for loops where look-ups would take long."""
+        load_plugins()
+        return self._entries
+
     def __len__(self) -> int:
         """Return the number of entries."""
         load_plugins()

@@ -73,7 +73,7 @@ def shown(place: str) -> list[Metric]:
 
 def start_tally(state: WorldState) -> MetricsTally:
     """Return the tally at the first state, which counts for all but the mean spread."""
-    own = {m.name: m.start(state) for m in METRICS.values() if m.start is not None}
+    own = {m.name: m.start(state) for m in METRICS.loaded().values() if m.start is not None}
     return replace(first_tally(state), own=own)
 
 
@@ -91,7 +91,7 @@ def metrics(tally: MetricsTally, state: WorldState, episode_steps: int) -> dict[
     """Return METRICS of the episode so far, (...) each."""
     return {
         name: metric.value(tally.own.get(name, tally), state, episode_steps)
-        for name, metric in METRICS.items()
+        for name, metric in METRICS.loaded().items()
     }
 
 

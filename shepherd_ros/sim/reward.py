@@ -89,7 +89,8 @@ def reward_terms(
     """
     step = Step(state if before is None else before, state, config, episode_steps)
     weights = {'occupancy': config.occupancy, 'shaping': config.shaping} | dict(config.others)
-    return {name: REWARD_TERMS[name].value(step, weight) for name, weight in weights.items()}
+    terms = REWARD_TERMS.loaded()
+    return {name: terms[name].value(step, weight) for name, weight in weights.items()}
 
 
 def _occupancy(step: Step, weight: float) -> Tensor:
