@@ -104,13 +104,13 @@ class Evaluate(ManySettings):
         """Return an experiment with the changes that were asked for."""
         from shepherd_ros.experiments.catalog import QUICK_STEPS
 
-        experiment = experiment.with_preset(self.preset)
+        experiment = experiment.with_preset(self.preset).with_changes(self.worlds.set)
         settings = experiment.quick if self.quick else experiment.settings
         if self.quick:
             settings = _with_values(settings, 'steps', (QUICK_STEPS,))
         for f in fields(self.worlds):
-            values = getattr(self.worlds, f.name)
-            settings = _with_values(settings, f.name, (values,) if f.name == 'set' else values)
+            if f.name != 'set':
+                settings = _with_values(settings, f.name, getattr(self.worlds, f.name))
         episodes = 6 if self.quick else experiment.episodes
         return replace(
             experiment,

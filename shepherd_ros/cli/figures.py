@@ -32,6 +32,8 @@ class Figures:
     """Checkpoints for figure 9; those of the policies in the rows if not given."""
     preset: str = ''
     """Preset that the rows were made with, instead of default."""
+    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """PATH=VALUE that the rows were made with (repeatable)."""
     report: bool = False
     """Also write README.md with a verdict on each statement of the paper, and summary.csv."""
     command: str = 'shepherd figures'
@@ -82,7 +84,7 @@ class Figures:
         samples: dict[str, Samples] = {}
         for experiment in EXPERIMENTS.values():
             beyond = experiment.name not in OF_THE_PAPER
-            chosen = experiment.with_preset(self.preset)
+            chosen = experiment.with_preset(self.preset).with_changes(self.set)
             found = samples_of(rows, chosen, least=2, whole=beyond)
             if found is not None:
                 samples[experiment.name] = found

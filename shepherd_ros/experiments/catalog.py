@@ -43,6 +43,14 @@ class Experiment:
             return self
         return replace(self, settings=moved(self.settings), quick=moved(self.quick))
 
+    def with_changes(self, words: tuple[str, ...]) -> Experiment:
+        """Return the experiment with more changes by path in all its settings."""
+
+        def changed(settings: tuple[Setting, ...]) -> tuple[Setting, ...]:
+            return tuple(replace(s, set=(*s.set, *words)) for s in settings)
+
+        return replace(self, settings=changed(self.settings), quick=changed(self.quick))
+
 
 def over(base: Setting | None = None, **values: Sequence[Any]) -> tuple[Setting, ...]:
     """Return the settings of a grid, the last field fastest."""

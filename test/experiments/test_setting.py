@@ -9,8 +9,10 @@ import pytest
 from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
 from shepherd_ros.experiments.campaign import plan
+from shepherd_ros.experiments.catalog import EXPERIMENTS
 from shepherd_ros.experiments.methods import make_method
 from shepherd_ros.experiments.results import read_rows
+from shepherd_ros.experiments.samples import samples_of
 from shepherd_ros.experiments.setting import (
     changes_of,
     describe,
@@ -117,3 +119,10 @@ def test_record_and_evaluate_take_the_same_options(tmp_path: Path) -> None:
     assert rows.in_environment(env_config(setting)).all()
     assert rows.columns['rays'].tolist() == [64]
     assert not rows.in_environment(env_config(replace(setting, set=()))).any()
+    chosen = EXPERIMENTS['fig4'].with_changes(('world.shepherd_speed=2', 'lidar.n_rays=64'))
+    one = replace(chosen, settings=tuple(replace(s, sheep=3) for s in chosen.settings[:1]))
+    assert samples_of(rows, one) is None  # three shepherds
+    few = replace(one, settings=(replace(one.settings[0], shepherds=2),), controllers=('idle',))
+    found = samples_of(rows, few)
+    assert found is not None
+    assert found.steps == 4

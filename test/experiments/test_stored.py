@@ -29,10 +29,13 @@ from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.train_ppo import PPORunConfig
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import PolicyConfig
+from shepherd_ros.recordings.check import check_bag
+from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.reward import RewardConfig
 from shepherd_ros.sim.world import WorldConfig
+from shepherd_ros.sim.world_parameters import WORLD_PARAMETERS, WorldParameter
 from shepherd_ros.wire.episode import Episode
 
 ROWS = Path(__file__).resolve().parents[2] / 'docs' / 'results' / 'rows.parquet'
@@ -254,3 +257,22 @@ def test_an_episode_that_was_described_before_an_option_came_has_its_default() -
     episode = Episode(0, 1, 0, 5, 3, 4.0, 'map', 'lockstep', old)
     assert world.equals(Episode.from_json(episode.to_json()).world)
     assert not replace(world, shepherd_speed=2.0).equals(old)
+
+
+def test_a_world_parameter_of_a_plug_in_counts_only_where_it_is_not_its_default(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    key = key_of(Cell(Setting(), 'idle', 0, 1).config(), '', __version__)
+    assert main(['record', '--out', str(tmp_path), '--controller', 'idle', '--episodes', '1',
+                 '--sheep', '3', '--steps', '4']) == 0  # fmt: skip
+    wind = WorldParameter('wind', 0.0, 'drift [m/s]', lambda before, after, value, dt: after)
+    monkeypatch.setitem(WORLD_PARAMETERS._entries, 'wind', wind)
+    assert key_of(Cell(Setting(), 'idle', 0, 1).config(), '', __version__) == key
+    still = Setting(set=('world.wind=0',))
+    assert key_of(Cell(still, 'idle', 0, 1).config(), '', __version__) == key
+    blown = Setting(set=('world.wind=0.5',))
+    assert env_config(blown).world.changes()['wind'] == 0.5
+    assert key_of(Cell(blown, 'idle', 0, 1).config(), '', __version__) != key
+    assert check_bag(open_bag(next(tmp_path.iterdir()))).ok
+    with pytest.raises(ConfigError, match=r"no option 'world.wnid'; did you mean 'world.wind'\?"):
+        env_config(Setting(set=('world.wnid=0.5',)))
