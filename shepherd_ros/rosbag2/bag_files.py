@@ -121,7 +121,8 @@ class BagFiles:
         return Metadata(topics, tuple(files), dict(self.custom_data))
 
     def _begin(self) -> None:
-        path = self.folder / f'{self.folder.resolve().name}_{len(self._done)}.mcap'
+        name = self.folder.resolve().name.lstrip('.')  # hidden while it is being written
+        path = self.folder / f'{name}_{len(self._done)}.mcap'
         self._file = McapFile(path, self.compression, self.chunk_size)
         self._channels, self.first_ns = {}, None
         self._note_metadata()

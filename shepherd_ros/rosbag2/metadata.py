@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from shepherd_ros.rosbag2.errors import BagError
-from shepherd_ros.rosbag2.qos import Qos, read_qos
-from shepherd_ros.rosbag2.yaml_text import dump_yaml, line_of, load_yaml
+from shepherd_ros.rosbag2.qos import dump_yaml, line_of, load_yaml, Qos, read_qos, text_of
 
 VERSION, DISTRO, STORAGE = 9, 'jazzy', 'mcap'
 FILE, KEY = 'metadata.yaml', 'rosbag2_bagfile_information'
@@ -43,12 +42,12 @@ class TopicInfo:
         """Return the entry of any version."""
         topic = data['topic_metadata']
         return cls(
-            name=str(topic['name']),
-            type=str(topic['type']),
+            name=text_of(topic['name']),
+            type=text_of(topic['type']),
             count=int(data['message_count']),
             qos=read_qos(topic.get('offered_qos_profiles'), path),
-            type_hash=str(topic.get('type_description_hash', '')),
-            serialization=str(topic['serialization_format']),
+            type_hash=text_of(topic.get('type_description_hash', '')),
+            serialization=text_of(topic['serialization_format']),
         )
 
 
@@ -120,25 +119,25 @@ class Metadata:
             start = int(data['starting_time']['nanoseconds_since_epoch'])
             files = tuple(
                 FileInfo(
-                    str(row['path']),
+                    text_of(row['path']),
                     int(row['starting_time']['nanoseconds_since_epoch']),
                     int(row['duration']['nanoseconds']),
                     int(row['message_count']),
                 )
                 for row in data.get('files') or ()
-            ) or tuple(FileInfo(str(name), start) for name in data['relative_file_paths'])
+            ) or tuple(FileInfo(text_of(name), start) for name in data['relative_file_paths'])
             custom = data.get('custom_data') or {}
             return cls(
                 topics=tuple(
                     TopicInfo.from_dict(row, path) for row in data['topics_with_message_count']
                 ),
                 files=files,
-                custom_data={str(key): str(value) for key, value in custom.items()},
+                custom_data={text_of(key): text_of(value) for key, value in custom.items()},
                 version=int(data['version']),
-                storage=str(data['storage_identifier']),
-                compression_format=str(data.get('compression_format') or ''),
-                compression_mode=str(data.get('compression_mode') or ''),
-                distro=str(data.get('ros_distro') or ''),
+                storage=text_of(data['storage_identifier']),
+                compression_format=text_of(data.get('compression_format') or ''),
+                compression_mode=text_of(data.get('compression_mode') or ''),
+                distro=text_of(data.get('ros_distro') or ''),
             )
         except (KeyError, AttributeError, TypeError, ValueError, OverflowError) as error:
             if isinstance(error, BagError):

@@ -1,4 +1,4 @@
-"""Quality of service in the words of rosbag2."""
+"""Quality of service in the words of rosbag2, and the YAML in which bags say such things."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from shepherd_ros.rosbag2.errors import BagError
-from shepherd_ros.rosbag2.yaml_text import dump_yaml, line_of, load_yaml
+import yaml
 
 INFINITE = (9223372036, 854775807)  # s, ns
 # words of a policy by the numbers that versions up to 8 have
@@ -24,7 +24,44 @@ WORDS = {
         'best_available',
     ),
 }  # fmt: skip
+LARGEST_TEXT = 16 << 20  # [bytes] of YAML
+DEEPEST = 30  # levels of nested lists and maps; rosbag2 has 8
+_LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
+_DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
 _DURATIONS = ('deadline', 'lifespan', 'liveliness_lease_duration')
+
+
+def dump_yaml(data: Any) -> str:
+    """Return plain data as YAML, in the order given."""
+    return str(yaml.dump(data, Dumper=_DUMPER, sort_keys=False, width=2**31 - 1))
+
+
+def load_yaml(text: str, path: Path) -> Any:
+    """Return the plain data of a YAML text of a file; raises BagError."""
+    try:
+        if len(text) > LARGEST_TEXT:
+            raise ValueError(f'{len(text)} characters: expected at most {LARGEST_TEXT}')
+        depth = 0
+        for event in yaml.parse(text, Loader=_LOADER):  # libyaml has no limit but its stack
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
+            if depth > DEEPEST:
+                raise ValueError(f'more than {DEEPEST} levels')
+        return yaml.load(text, Loader=_LOADER)
+    except (yaml.YAMLError, ValueError, TypeError, OverflowError, RecursionError) as error:
+        raise BagError(path, f'its metadata is no YAML ({line_of(error)})') from error
+
+
+def text_of(value: Any) -> str:
+    """Return a scalar as text; raises ValueError for others, which aliases can make endless."""
+    if isinstance(value, list | dict | tuple | set):
+        raise ValueError(f'a {type(value).__name__}: expected text')
+    return str(value)
+
+
+def line_of(error: Exception) -> str:
+    """Return what an error says, in one line of at most 120 characters."""
+    return ' '.join(str(error).split())[:120] or type(error).__name__
 
 
 @dataclass(frozen=True)
@@ -66,7 +103,7 @@ class Qos:
         values: dict[str, Any] = {}
         for policy, words in WORDS.items():
             value = data[policy]
-            values[policy] = words[value] if isinstance(value, int) else str(value)
+            values[policy] = words[value] if isinstance(value, int) else text_of(value)
         for name in _DURATIONS:
             values[name] = int(data[name]['sec']), int(data[name]['nsec'])
         avoid = bool(data['avoid_ros_namespace_conventions'])

@@ -14,8 +14,7 @@ from typing import NamedTuple
 from shepherd_ros.rosbag2.errors import BagError, unreadable
 from shepherd_ros.rosbag2.mcap_reader import Storage
 from shepherd_ros.rosbag2.metadata import FILE, Metadata, STORAGE, TopicInfo
-from shepherd_ros.rosbag2.qos import read_qos
-from shepherd_ros.rosbag2.yaml_text import LARGEST
+from shepherd_ros.rosbag2.qos import LARGEST_TEXT, read_qos
 
 
 class BagMessage(NamedTuple):
@@ -190,7 +189,7 @@ def read_metadata(path: Path) -> Metadata:
         raise BagError(path, 'it is no file', 'expected the folder of a bag')
     try:
         with path.open('rb') as file:
-            data = file.read(min(os.fstat(file.fileno()).st_size, LARGEST) + 1)
+            data = file.read(min(os.fstat(file.fileno()).st_size, LARGEST_TEXT) + 1)
     except OSError as error:
         raise unreadable(path, error) from error
     fix = f'run `shepherd bag recover {path.parent}` to write it again'

@@ -173,7 +173,7 @@ def test_metadata_that_names_other_files_is_refused(bag: Path, tmp_path: Path) -
     for old, new, what in (
         ('bag_1.mcap', '../../nothing.mcap', r'copy/nothing.mcap: it is not there'),
         ('storage_identifier: mcap', 'storage_identifier: sqlite3', "its storage is 'sqlite3'"),
-        ('compression_mode: ""', 'compression_mode: FILE', "its compression is by 'FILE'"),
+        ("compression_mode: ''", 'compression_mode: FILE', "its compression is by 'FILE'"),
         ('version', '  version', 'its metadata is no YAML'),
         ('message_count', 'count', 'its metadata cannot be read'),
     ):

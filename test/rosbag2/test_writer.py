@@ -165,6 +165,13 @@ def test_an_empty_bag_can_be_read(tmp_path: Path) -> None:
         assert (reader.message_count, list(reader.messages())) == (0, [])
 
 
+def test_the_files_of_a_hidden_folder_are_not_hidden(tmp_path: Path) -> None:
+    """A folder gets its name when it is whole, and `cp bag/*` has to find its files."""
+    tiny_bag(tmp_path / '.bag').rename(tmp_path / 'bag')
+    assert [path.name for path in (tmp_path / 'bag').glob('*.mcap')] == ['bag_0.mcap']
+    assert open_bag(tmp_path / 'bag').count == len(MESSAGES)
+
+
 # ---- splits ----
 
 
