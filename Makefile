@@ -12,7 +12,7 @@ SEED ?= 0
 STEPS ?= 1000
 OUT ?= out/demo
 
-.PHONY: demo test setup generate lint train paper table bench bench-learning clean browser
+.PHONY: demo test setup generate docs lint train paper table bench bench-learning clean browser
 .DEFAULT_GOAL := demo
 
 demo: setup
@@ -39,7 +39,7 @@ browser:  # Chromium, in which the tests look at pages
 	      'chromedriver on PATH' >&2; exit 1; }; \
 	fi
 
-generate: setup  # every committed file that follows from code: schemas, parameters, cards, a table
+generate: setup  # every committed file that follows from code: schemas, parameters, cards, reference
 	$(BIN)/python scripts/generate.py
 
 lint: setup
@@ -91,6 +91,10 @@ bench: setup  # all of them, about half an hour on cores of its own; out/bench/
 
 bench-learning: setup  # about five minutes on cores of its own
 	$(BIN)/python benchmarks/learning.py
+
+docs: setup  # the manual; out/docs/index.html
+	$(BIN)/pip install -q -c constraints.txt --editable '.[docs]'
+	$(BIN)/python -m sphinx -q -W --keep-going docs out/docs
 
 clean:
 	rm -rf $(VENV) out build install log

@@ -80,6 +80,7 @@ setup(
         'envs': ['gymnasium', 'pettingzoo'],
         'sb3': ['gymnasium', 'pettingzoo', 'stable-baselines3'],
         'bench': ['vmas'],
+        'docs': ['furo', 'myst-parser', 'sphinx', 'sphinx-copybutton'],
         'test': ['pytest'],
         'dev': [
             'catkin-pkg',

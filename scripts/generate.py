@@ -8,6 +8,7 @@ import json
 from pathlib import Path
 import re
 
+from manual.pages import pages
 import rclpy
 from rclpy.context import Context
 from rclpy.parameter import parameter_value_to_python
@@ -35,13 +36,11 @@ from shepherd_ros.wire.topics import (
     member,
     Topic,
     topic_pattern,
-    topic_table,
     topic_text,
 )
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
-TABLE = re.compile(r'^\| topic \| type \|.*\n(\|.*\n)+', re.MULTILINE)
 
 
 def members() -> dict[str, list[Topic]]:
@@ -114,8 +113,8 @@ def fresh() -> Iterator[tuple[str, str]]:
     for name in shipped_checkpoints():
         record = read_metadata(checkpoint_file(name))[1]
         yield f'docs/checkpoints/{name}.md', card(name, load_policy(name), record)
-    readme = (ROOT / 'README.md').read_text(encoding='utf-8')
-    yield 'README.md', TABLE.sub(lambda _: topic_table(), readme)
+    for name, text in pages().items():
+        yield f'docs/{name}', text
 
 
 if __name__ == '__main__':

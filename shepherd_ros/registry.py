@@ -189,7 +189,10 @@ def _import(name: str, source: str) -> None:
 
 
 def _import_file(path: Path) -> None:
-    """Import a Python file as a module of its own name."""
+    """Import a Python file as a module of its own name, unless a program has imported it."""
+    there = getattr(sys.modules.get(path.stem), '__file__', None)
+    if there is not None and path.is_file() and path.samefile(there):
+        return
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None or not path.is_file():
         raise FileNotFoundError(f'{path} is no file')

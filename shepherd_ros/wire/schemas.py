@@ -75,7 +75,9 @@ def installed_text(name: str) -> str:
         path = Path(prefix, 'share', package, 'msg', f'{message}.msg')
         if path.is_file():
             return path.read_text(encoding='utf-8')
-    raise FileNotFoundError(f'{name} is not installed: expected package {package}, see README.md')
+    raise FileNotFoundError(
+        f'{name} is not installed: expected package {package}, see docs/installation.md'
+    )
 
 
 def config_schema(config: type[Config], **extra: Any) -> dict[str, Any]:

@@ -118,7 +118,7 @@ def topic_text(row: Topic) -> str:
 
 
 def topic_table() -> str:
-    """Return the contract as the table of README.md."""
+    """Return the contract as a table in Markdown."""
     rows = [
         '| topic | type | quality | frame | unit | from | to | meaning |',
         '|---|---|---|---|---|---|---|---|',

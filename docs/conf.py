@@ -1,0 +1,49 @@
+"""Sphinx configuration of the manual."""
+
+from pathlib import Path
+import re
+import shutil
+import sys
+import xml.etree.ElementTree as ET
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+shutil.rmtree(ROOT / 'docs/reference/api', ignore_errors=True)  # pages of modules that moved
+
+project = 'shepherd_ros'
+author = 'The shepherd_ros maintainers'
+copyright = author
+release = ET.parse(ROOT / 'package.xml').getroot().findtext('version')
+
+extensions = [
+    'myst_parser',
+    'sphinx.ext.autodoc',
+    'sphinx.ext.autosummary',
+    'sphinx.ext.viewcode',
+    'sphinx_copybutton',
+]
+myst_enable_extensions = ['colon_fence', 'deflist', 'dollarmath']
+myst_heading_anchors = 3
+exclude_patterns = ['_build']
+suppress_warnings = ['ref.python']  # `type` of an annotation is a field of several classes, too
+
+html_theme = 'furo'
+html_title = f'shepherd_ros {release}'
+html_static_path = ['_static']
+html_css_files = ['manual.css']
+copybutton_prompt_text = '$ '
+
+autosummary_generate = True
+autodoc_typehints = 'signature'
+autodoc_member_order = 'bysource'
+autodoc_default_options = {'members': True, 'undoc-members': False, 'show-inheritance': True}
+
+
+def plain(app, what, name, obj, options, lines):  # noqa: D103
+    text = '\n'.join(lines)
+    lines[:] = re.sub(r'(?<!`)([*|_])(?!`)', r'\\\1', text.replace('\\', r'\\')).split('\n')
+
+
+def setup(app):
+    """Read docstrings as plain text, not as reStructuredText."""
+    app.connect('autodoc-process-docstring', plain)

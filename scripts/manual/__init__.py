@@ -1,0 +1,1 @@
+"""The reference pages of the manual, made from the code."""
