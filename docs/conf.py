@@ -22,7 +22,7 @@ extensions = [
     'sphinx.ext.viewcode',
     'sphinx_copybutton',
 ]
-myst_enable_extensions = ['colon_fence', 'deflist', 'dollarmath']
+myst_enable_extensions = ['colon_fence']
 myst_heading_anchors = 3
 exclude_patterns = ['_build']
 suppress_warnings = ['ref.python']  # `type` of an annotation is a field of several classes, too
