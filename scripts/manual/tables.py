@@ -38,8 +38,8 @@ def bounds(low: Any, high: Any, choices: Any = None) -> str:
     if choices:
         return ', '.join(code(choice) for choice in choices)
     if low is None or high is None:
-        return f'at least {low:g}' if low is not None else f'at most {high:g}' if high else ''
-    return f'{low:g} to {high:g}'
+        return f'at least {low:.12g}' if low is not None else f'at most {high:.12g}' if high else ''
+    return f'{low:.12g} to {high:.12g}'
 
 
 def fields_of(config: Config, prefix: str = '') -> list[list[str]]:
