@@ -39,11 +39,12 @@ autodoc_member_order = 'bysource'
 autodoc_default_options = {'members': True, 'undoc-members': False, 'show-inheritance': True}
 
 
-def plain(app, what, name, obj, options, lines):  # noqa: D103
+def plain(app, what, name, obj, options, lines):
+    """Escape in docstrings what reStructuredText would read as markup."""
     text = '\n'.join(lines)
     lines[:] = re.sub(r'(?<!`)([*|_])(?!`)', r'\\\1', text.replace('\\', r'\\')).split('\n')
 
 
 def setup(app):
-    """Read docstrings as plain text, not as reStructuredText."""
+    """Read docstrings as plain text."""
     app.connect('autodoc-process-docstring', plain)

@@ -38,7 +38,9 @@ def bounds(low: Any, high: Any, choices: Any = None) -> str:
     if choices:
         return ', '.join(code(choice) for choice in choices)
     if low is None or high is None:
-        return f'at least {low:.12g}' if low is not None else f'at most {high:.12g}' if high else ''
+        return (
+            f'at least {low:.12g}' if low is not None else f'at most {high:.12g}' if high else ''
+        )
     return f'{low:.12g} to {high:.12g}'
 
 
