@@ -58,7 +58,7 @@ train: setup
 	$(BIN)/shepherd record --controller drover --training --steps 400 --episodes $(EPISODES) \
 	  --workers 2 --out $(TRAINED)/bags
 	$(BIN)/shepherd train bc $(TRAINED)/bags $(RING) --epochs $(EPOCHS) --out $(TRAINED)/bc
-	$(BIN)/shepherd train dagger --start $(TRAINED)/bc/best.safetensors --rounds $(ROUNDS) \
+	$(BIN)/shepherd train dagger --pretrained $(TRAINED)/bc/best.safetensors --rounds $(ROUNDS) \
 	  --out $(TRAINED)/dagger
 	$(BIN)/shepherd evaluate table --sheep 100 --shepherds 1 3 6 --episodes 32 --workers 2 \
 	  --controllers drover policy:$(TRAINED)/dagger/best.safetensors --out $(TRAINED)/rows

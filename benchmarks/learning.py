@@ -33,7 +33,7 @@ import torch
 from torch import Tensor
 
 SEEN = ObservationConfig(align='goal', unit=10.0)
-FROM_SCRATCH = PolicyConfig(repeat=8, observation=replace(SEEN, spacing=8))
+FROM_SCRATCH = PolicyConfig(action_repeat=8, observation=replace(SEEN, spacing=8))
 IMITATION = PolicyConfig(observation=replace(SEEN, spacing=4))
 RING = replace(
     FROM_SCRATCH,
@@ -95,13 +95,13 @@ def forms(rounds: int, size: int) -> list[dict[str, Any]]:
 def ppo(rounds: int, decisions: int, repeat: int) -> tuple[list[dict[str, Any]], dict[str, float]]:
     """Return rates of rollout and update beside the bare network, and shares of the rollout."""
     dtype = fast_dtype()
-    policy = Policy(replace(FROM_SCRATCH, repeat=repeat))
+    policy = Policy(replace(FROM_SCRATCH, action_repeat=repeat))
     rollout = small_rollout(policy, decisions, dtype)
     config = PPOConfig(target_kl=1e9)  # or the actor might rest
     learner, draw = Learner(policy, config), torch.Generator().manual_seed(0)
     batch, _ = rollout.collect(0.96, 0.95, 1.0)
     made = len(batch.value)
-    learned = made // config.minibatch * config.minibatch  # whole minibatches
+    learned = made // config.minibatch_size * config.minibatch_size  # whole minibatches
     batch = replace(batch, **{f.name: getattr(batch, f.name)[:learned] for f in fields(batch)})
     x = rollout.store.inputs(batch.rows, batch.first)
     at_once = x[: made // decisions]
@@ -117,7 +117,7 @@ def ppo(rounds: int, decisions: int, repeat: int) -> tuple[list[dict[str, Any]],
                 policy.critic(at_once)
 
     def bare_both() -> None:
-        for m in x.split(config.minibatch) * config.epochs:
+        for m in x.split(config.minibatch_size) * config.update_epochs:
             policy.zero_grad(set_to_none=True)
             torch.cat(policy.actor(m), dim=-1).square().mean().backward()
             policy.critic(m).square().mean().backward()
@@ -169,12 +169,12 @@ def dagger(rounds: int) -> list[dict[str, Any]]:
 
     def drive() -> None:
         for lesson in lessons:
-            lesson.run(config.steps, False, examples)
+            lesson.run(config.steps_per_round, False, examples)
         team = sum(int(lesson.group.moment.state.shepherd_mask.sum()) for lesson in lessons)
-        driven.append(team * config.steps)
+        driven.append(team * config.steps_per_round)
 
     times = in_turns({'drive': drive, 'learn': lambda: cloner.learn(examples)}, rounds)
-    learned = config.clone.batches * config.clone.minibatch
+    learned = config.clone.updates_per_round * config.clone.batch_size
     rows = [
         rates('driving: decisions', round(median(driven)), times['drive'], None),
         rates('learning: examples', learned, times['learn'], None),

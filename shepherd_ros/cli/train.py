@@ -34,12 +34,12 @@ import tyro
 LEARNS_WELL = ObservationConfig(align='goal', unit=10.0)
 RING = replace(LEARNS_WELL, layout='ring')
 FROM_SCRATCH = PolicyConfig(
-    repeat=8,
+    action_repeat=8,
     observation=replace(LEARNS_WELL, spacing=8),
     network=NetworkConfig(min_std=0.2),
 )
 SMALL_RING = PolicyConfig(
-    repeat=8,
+    action_repeat=8,
     observation=replace(RING, spacing=8),
     network=NetworkConfig(filters_1=16, filters_2=32, hidden=128, padding='circular', min_std=0.2),
 )
@@ -68,7 +68,7 @@ QUICK = {
         PPORunConfig(
             samples=1_000_000,
             task=TaskConfig(goal_radius_max=6.0, home_share=0.35),
-            ppo=PPOConfig(actor_rate=2.5e-4, critic_rate=6e-4),
+            ppo=PPOConfig(actor_learning_rate=2.5e-4, critic_learning_rate=6e-4),
         ),
     ),
     'dagger': Recipe(IMITATION_RING, DaggerConfig(rounds=40)),
@@ -82,7 +82,7 @@ class Common:
 
     out: Path
     """Folder of the run; a run that is there and was interrupted goes on."""
-    start: str = ''
+    pretrained: str = ''
     """
     Checkpoint to start from: a file, or the name of a shipped one; random weights if empty.
 
@@ -137,8 +137,8 @@ def train(words: list[str], doc: str) -> int:
 
     chosen = parsed(USUAL)
     recipes = QUICK if chosen.quick else USUAL
-    if chosen.start:  # what is not said about the policy is as in the checkpoint
-        policy = load_policy(chosen.start).config
+    if chosen.pretrained:  # what is not said about the policy is as in the checkpoint
+        policy = load_policy(chosen.pretrained).config
         recipes = {name: replace(recipe, policy=policy) for name, recipe in recipes.items()}
     if recipes is not USUAL:
         chosen = parsed(recipes)
@@ -172,7 +172,7 @@ def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
         'config': {
             'policy': policy.config,
             'run': config,
-            'start': arguments.start,
+            'pretrained': arguments.pretrained,
         },
     }
     run = Run(arguments.out, record)
@@ -201,13 +201,13 @@ def check_device(device: str, kind: type[Config]) -> None:
 def _policy(arguments: Any) -> Policy:
     """Return the policy to train: new, or with the weights of a checkpoint."""
     policy = Policy(configured(PolicyConfig, arguments.policy))
-    if arguments.start:
+    if arguments.pretrained:
         try:
-            policy.load_state_dict(load_policy(arguments.start).state_dict())
+            policy.load_state_dict(load_policy(arguments.pretrained).state_dict())
         except RuntimeError as error:
             raise UserError(
-                f'--start {arguments.start} does not fit: {error}; leave out the --policy '
-                'options that change the form of the network'
+                f'--pretrained {arguments.pretrained} does not fit: {error}; leave out the '
+                '--policy options that change the form of the network'
             ) from error
     return policy
 
@@ -219,9 +219,9 @@ def show(line: dict[str, Any]) -> None:
     watched = [name for name in ('reward', 'loss', 'kl', 'std') if name in line]
     parts += [f'{name} {line[name]:.4f}' for name in watched]
     parts += [
-        f'{name} {line["judge/" + name]:.2f}'
+        f'{name} {line["eval/" + name]:.2f}'
         for name in ('return', *(metric.name for metric in shown('progress')))
-        if 'judge/' + name in line
+        if 'eval/' + name in line
     ]
     parts.append(f'{left} left')
     print('  '.join(parts), flush=True)

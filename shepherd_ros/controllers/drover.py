@@ -43,15 +43,15 @@ SHUT = 4.0  # [rad] a team without a wider gap stands on a ring
 class DroverConfig(Config):
     """Options of the drover; all are choices."""
 
-    notice: float = option(
+    notice_range: float = option(
         0.0, 'sheep notice shepherds so near [m]; 0: as the flock of the world', low=0.0
     )
-    stand_off: float = option(4.5, 'least distance to the flock while driving [m]', low=0.0)
-    apart: float = option(
+    standoff: float = option(4.5, 'least distance to the flock while driving [m]', low=0.0)
+    separation: float = option(
         1.5, 'shepherds nearer to each other than this make way [m]; 0: none does', low=0.0
     )
     spacing: float = option(0.25, 'angle between neighbours on the arc [rad]', low=0.0)
-    reach: float = option(
+    ring_reach: float = option(
         0.0,
         'sheep so far from the middle notice the ring, in goal radii, negative: all inside notice '
         'it; 0: as suits the flock',
@@ -63,24 +63,24 @@ class DroverConfig(Config):
         1.5, 'the arc begins to open with the flock so near the goal [goal radii]', low=0.0
     )
     open_until: float = option(0.1, 'and is a ring with it so near [goal radii]', low=0.0)
-    arrived: float = option(
+    close_share: float = option(
         0.8, 'share inside with which a ring closes about sheep that never rest', low=0.0, high=1.0
     )
-    lost: float = option(0.5, 'and with less than this it opens', low=0.0, high=1.0)
-    alone: float = option(
+    reopen_share: float = option(0.5, 'and with less than this it opens', low=0.0, high=1.0)
+    lone_share: float = option(
         0.8, 'share inside with which a lone shepherd turns to strays', low=0.0, high=1.0
     )
-    patience: float = option(0.5, 'a stray is a sheep so far outside [m]', low=0.0)
-    stroll: float = option(
+    stray_distance: float = option(0.5, 'a stray is a sheep so far outside [m]', low=0.0)
+    ring_speed: float = option(
         0.25, 'pace on a ring about sheep that rest, of the top speed', low=0.01, high=1.0
     )
-    touch: float = option(
+    touch_depth: float = option(
         0.4, 'one or two touch a flock that never rests by so much of its view [m]', low=0.0
     )
-    touch_from: float = option(
+    touch_distance: float = option(
         1.5, 'they do while its middle is so near the goal [goal radii]', low=0.0
     )
-    touch_turn: float = option(
+    touch_angle: float = option(
         1.0, 'and turn it so far from the way to the goal, in the goal itself [rad]', low=0.0
     )
     touch_spacing: float = option(1.0, 'angle between two who do [rad]', low=0.0)
@@ -128,9 +128,9 @@ class DroverController(Controller):
         config: DroverConfig = self.config
         self.restless = self.world.flock.restless
         ring = NARROW if self.restless else WIDE
-        self.notice = config.notice or self.world.flock.notice_range
-        self.pace = 1.0 if self.restless else config.stroll
-        self.reach, self.least = config.reach or ring.reach, ring.least
+        self.notice = config.notice_range or self.world.flock.notice_range
+        self.pace = 1.0 if self.restless else config.ring_speed
+        self.reach, self.least = config.ring_reach or ring.reach, ring.least
 
     def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return commands (..., H, 2) m/s and memory."""
@@ -140,14 +140,14 @@ class DroverController(Controller):
         squared = (seen.sheep - center).square().sum(dim=-1)  # (..., N) m2
         far = EDGE * masked_mean(squared[..., None], seen.sheep_mask).sqrt()
         few = seen.team_size[..., None] < self.least
-        clear = far + self.config.stand_off
+        clear = far + self.config.standoff
 
         stance = self._arc_or_ring(seen, behind, away, clear)
         if self.restless:
-            near = away < self.config.touch_from * seen.goal_radius[..., None]
+            near = away < self.config.touch_distance * seen.goal_radius[..., None]
             stance = self._touch(seen, behind, away, far).where(few & near, stance)
         else:
-            inside = share_inside(seen) >= self.config.alone
+            inside = share_inside(seen) >= self.config.lone_share
             stance = self._alone(seen, stance).where(few & inside, stance)
 
         place = stance.places(seen)
@@ -155,7 +155,7 @@ class DroverController(Controller):
         gain, speed = self.config.gain, self.world.shepherd_speed
         along = stance.way_along(seen, place, gain)
         way = torch.where(stance.along[..., None], along, way_round(seen, target, center, clear))
-        aside = way_apart(seen, self.config.apart) * speed
+        aside = way_apart(seen, self.config.separation) * speed
         return clip_norm(clip_norm(way * gain, speed) + aside, speed), memory
 
     def _arc_or_ring(
@@ -167,7 +167,7 @@ class DroverController(Controller):
         angle = bearing(seen.shepherds - goal)
         if self.restless:  # in haste
             gap = bearings_in_order(angle, seen.shepherd_mask)[1].amax(dim=-1, keepdim=True)
-            least = torch.where(gap < SHUT, config.lost, config.arrived)
+            least = torch.where(gap < SHUT, config.reopen_share, config.close_share)
             arc = (share_inside(seen) < least).to(away.dtype)
         else:
             arc = away / radius - config.open_until
@@ -194,7 +194,7 @@ class DroverController(Controller):
         goal, radius = seen.goal[..., None, :], seen.goal_radius[..., None]
         own = bearing(masked_mean(seen.shepherds, seen.shepherd_mask)[..., None, :] - goal)
         gap = torch.where(seen.sheep_mask, distance_to_rim(seen), -torch.inf)  # (..., N) m
-        outside = gap > self.config.patience
+        outside = gap > self.config.stray_distance
         stray = bearing(seen.sheep - goal)  # (..., N)
         off = torch.where(outside, wrap(stray - own).abs(), torch.inf)
         least, nearest = off.min(dim=-1, keepdim=True)
@@ -204,7 +204,7 @@ class DroverController(Controller):
             distance=self.notice + self.reach * radius,
             middle=there,
             along=torch.ones_like(stance.along),
-            pace=self.config.stroll * torch.full_like(stance.pace, self.world.shepherd_speed),
+            pace=self.config.ring_speed * torch.full_like(stance.pace, self.world.shepherd_speed),
             even=torch.zeros_like(stance.even),
         )
 
@@ -215,8 +215,8 @@ class DroverController(Controller):
         crossing = (1 - away / (CROSSING * seen.goal_radius[..., None])).clamp(min=0.0)
         return Stance(
             about=seen.center[..., None, :],
-            distance=far + self.notice - self.config.touch,
-            middle=behind - side * self.config.touch_turn * crossing,
+            distance=far + self.notice - self.config.touch_depth,
+            middle=behind - side * self.config.touch_angle * crossing,
             spacing=torch.full_like(away, self.config.touch_spacing),
             along=torch.ones_like(away, dtype=torch.bool),
             pace=torch.full_like(away, self.world.shepherd_speed),

@@ -126,6 +126,6 @@ def evaluate(
         total += reward
     means = {
         metric.name: float(np.mean([info['metrics'][metric.name] for info in infos]))
-        for metric in shown('judge')
+        for metric in shown('eval')
     }
     return {'return': float(total.mean()), **means}

@@ -19,42 +19,44 @@ class AnnealConfig(Config):
     time is halved again and again, in stages of equal length.
     """
 
-    first_share: float = option(
+    anneal_start: float = option(
         0.6, 'share of the samples before actions are held for shorter', low=0.0, high=1.0
     )
-    last_repeat: int = option(1, 'steps that an action is held in the end', low=1)
-    last_std: float = option(
+    final_action_repeat: int = option(1, 'steps that an action is held in the end', low=1)
+    final_min_std: float = option(
         0.1, 'smallest standard deviation of an action in the last stage [m/s]', low=0.001
     )
 
 
 def stages(first: PolicyConfig, config: AnnealConfig) -> list[PolicyConfig]:
     """Return the policy's configuration in each stage; ConfigError if halving misses the end."""
-    paces = [first.repeat]
-    while paces[-1] >= 2 * config.last_repeat and paces[-1] % 2 == 0:
+    paces = [first.action_repeat]
+    while paces[-1] >= 2 * config.final_action_repeat and paces[-1] % 2 == 0:
         paces.append(paces[-1] // 2)
-    if paces[-1] > config.last_repeat:
+    if paces[-1] > config.final_action_repeat:
         raise ConfigError(
-            f'last_repeat is {config.last_repeat}: expected a number that halving repeat, '
-            f'{first.repeat}, comes to, such as {paces[-1]}'
+            f'final_action_repeat is {config.final_action_repeat}: expected a number '
+            f'that halving action_repeat, {first.action_repeat}, comes to, such as {paces[-1]}'
         )
     low = first.network.min_std
     result = [first]
     for i, pace in enumerate(paces[1:], start=1):
         share = i / (len(paces) - 1)
-        floor = min(low, low * (config.last_std / low) ** share)
-        result.append(replace(first, repeat=pace, network=replace(first.network, min_std=floor)))
+        floor = min(low, low * (config.final_min_std / low) ** share)
+        result.append(
+            replace(first, action_repeat=pace, network=replace(first.network, min_std=floor))
+        )
     return result
 
 
 def stage_at(share: float, count: int, config: AnnealConfig) -> int:
     """Return which of so many stages it is when a share of the samples is used up."""
-    if share < config.first_share:
+    if share < config.anneal_start:
         return 0
-    rest = (share - config.first_share) / max(1 - config.first_share, 1e-9)
+    rest = (share - config.anneal_start) / max(1 - config.anneal_start, 1e-9)
     return min(1 + int(rest * (count - 1)), count - 1)
 
 
 def discount(gamma: float, policy: PolicyConfig) -> float:
     """Return the discount per decision of a policy, where gamma is that per GAMMA_TIME."""
-    return gamma ** (policy.repeat * policy.dt / GAMMA_TIME)
+    return gamma ** (policy.action_repeat * policy.dt / GAMMA_TIME)

@@ -19,15 +19,15 @@ RECENT = 10  # at first, the mean is over one in so many of the steps so far
 class CloneConfig(Config):
     """Options of the fit; all are choices."""
 
-    rate: float = option(5e-4, 'learning rate at first', low=0.0)
-    minibatch: int = option(512, 'examples per step of the optimiser', low=1)
-    batches: int = option(60, 'steps of the optimiser in a round', low=1)
-    newest: int = option(20_000, 'every third batch is from so many of the newest', low=1)
-    longest_gradient: float = option(1.0, 'gradients are cut to this norm', low=0.0)
-    outlier: float = option(
+    learning_rate: float = option(5e-4, 'learning rate at first', low=0.0)
+    batch_size: int = option(512, 'examples per step of the optimiser', low=1)
+    updates_per_round: int = option(60, 'steps of the optimiser in a round', low=1)
+    recent_examples: int = option(20_000, 'every third batch is from so many of the newest', low=1)
+    max_grad_norm: float = option(1.0, 'gradients are cut to this norm', low=0.0)
+    huber_delta: float = option(
         0.15, 'errors beyond this count in proportion, not squared [m/s]', low=0.001
     )
-    average: float = option(
+    ema_decay: float = option(
         0.998, 'share that the running mean of the weights keeps in a step', low=0.0, high=1.0
     )
 
@@ -83,9 +83,9 @@ class Cloner:
     def __init__(self, policy: Policy, config: CloneConfig, seed: int) -> None:
         """Make the optimiser."""
         self.policy, self.config = policy, config
-        self.optimiser = torch.optim.Adam(policy.actor.parameters(), config.rate)
+        self.optimiser = torch.optim.Adam(policy.actor.parameters(), config.learning_rate)
         self.generator = torch.Generator().manual_seed(seed)
-        self.average = AveragedModel(policy.actor, multi_avg_fn=running_mean(config.average))
+        self.average = AveragedModel(policy.actor, multi_avg_fn=running_mean(config.ema_decay))
 
     def averaged(self, policy: Policy) -> Policy:
         """Return the policy, to whose actor the running mean of the weights is given."""
@@ -94,7 +94,7 @@ class Cloner:
 
     def slow_down(self, share: float) -> None:
         """Set the learning rate to a share of that at first."""
-        self.optimiser.param_groups[0]['lr'] = self.config.rate * share
+        self.optimiser.param_groups[0]['lr'] = self.config.learning_rate * share
 
     def loss(self, examples: Examples, chosen: Tensor) -> Tensor:
         """
@@ -106,25 +106,25 @@ class Cloner:
         x = self.policy.arranged(examples.frames[chosen], examples.first[chosen])
         mean, _ = self.policy.actor(x)
         error = torch.linalg.vector_norm(mean - examples.wanted[chosen], dim=-1)
-        bound = self.config.outlier
+        bound = self.config.huber_delta
         return torch.where(error < bound, error.square(), bound * (2 * error - bound)).mean()
 
     def learn(self, examples: Examples) -> float:
         """Take the steps of a round; return the mean loss."""
-        newest = self.config.newest
+        newest = self.config.recent_examples
         losses = [
             self.take_step(examples, newest if i % 3 == 0 else 0)
-            for i in range(self.config.batches)
+            for i in range(self.config.updates_per_round)
         ]
         return sum(losses) / len(losses)
 
     def take_step(self, examples: Examples, newest: int = 0) -> float:
         """Learn from one batch, of so many of the newest if that is not 0; return its loss."""
-        chosen = examples.draw(self.config.minibatch, self.generator, newest)
+        chosen = examples.draw(self.config.batch_size, self.generator, newest)
         loss = self.loss(examples, chosen)
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
-        nn.utils.clip_grad_norm_(self.policy.actor.parameters(), self.config.longest_gradient)
+        nn.utils.clip_grad_norm_(self.policy.actor.parameters(), self.config.max_grad_norm)
         self.optimiser.step()
         self.average.update_parameters(self.policy.actor)
         return float(loss.detach())

@@ -22,7 +22,7 @@ from shepherd_ros.learning.dagger_bags import Visits
 from shepherd_ros.learning.group import Group
 from shepherd_ros.learning.run_folder import Run
 from shepherd_ros.learning.task import TaskConfig
-from shepherd_ros.learning.validation import judge
+from shepherd_ros.learning.validation import validate
 from shepherd_ros.policy import inference
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
@@ -46,19 +46,21 @@ class DaggerConfig(Config):
     reynolds_home_teacher: str = option(
         '', 'the same for one whose middle is near the goal; empty: reynolds_teacher'
     )
-    near: float = option(8.0, 'how near the rim of the goal that is [m] (choice)', low=0.0)
+    home_distance: float = option(
+        8.0, 'how near the rim of the goal that is [m] (choice)', low=0.0
+    )
     rounds: int = option(60, 'rounds of driving and learning', low=1)
-    shown: int = option(6, 'first rounds, in which the teacher drives all worlds', low=0)
-    steps: int = option(40, 'steps of a round', low=1)
-    every: int = option(4, 'steps from one example to the next', low=1)
+    teacher_rounds: int = option(6, 'first rounds, in which the teacher drives all worlds', low=0)
+    steps_per_round: int = option(40, 'steps of a round', low=1)
+    example_interval: int = option(4, 'steps from one example to the next', low=1)
     groups: int = option(12, 'groups of worlds; those of one share what is drawn', low=1)
     worlds: int = option(8, 'worlds of a group', low=1)
-    taught_groups: int = option(1, 'groups that the teacher always drives', low=0)
-    capacity: int = option(200_000, 'examples that are kept, the newest', low=1)
-    judge_every: int = option(10, 'rounds from one evaluation to the next', low=1)
-    judge_episodes: int = option(32, 'episodes of an evaluation', low=2)
-    judge_steps: int = option(1000, 'steps of these episodes', low=1)
-    visited: str = option('', 'folder for bags of all that is driven, with labels; empty: none')
+    teacher_groups: int = option(1, 'groups that the teacher always drives', low=0)
+    buffer_size: int = option(200_000, 'examples that are kept, the newest', low=1)
+    eval_freq: int = option(10, 'rounds from one evaluation to the next', low=1)
+    eval_episodes: int = option(32, 'episodes of an evaluation', low=2)
+    eval_steps: int = option(1000, 'steps of these episodes', low=1)
+    bag_folder: str = option('', 'folder for bags of all that is driven, with labels; empty: none')
     task: TaskConfig = part(TaskConfig)
     clone: CloneConfig = part(CloneConfig)
 
@@ -93,10 +95,10 @@ class Lesson:
         self.config, self.policy, self.dtype = config, policy, dtype
         lidar = policy.config.lidar
         self.group = Group(
-            config.task, index, config.worlds, config.seed, lidar, count=bool(config.visited)
+            config.task, index, config.worlds, config.seed, lidar, count=bool(config.bag_folder)
         )
         self.full = config.task.episode_steps
-        self.visits = Visits(config.visited)
+        self.visits = Visits(config.bag_folder)
         self._begin(max(self.full * (index + 1) // config.groups, 1))
 
     def _begin(self, steps: int) -> None:
@@ -122,7 +124,7 @@ class Lesson:
         at_home, self.taught_home = self.home_teacher.act(state, self.taught_home)
         middle = masked_mean(state.sheep, state.sheep_mask)
         away = torch.linalg.vector_norm(middle - state.goal, dim=-1) - state.goal_radius
-        return torch.where((away < self.config.near)[:, None, None], at_home, label)
+        return torch.where((away < self.config.home_distance)[:, None, None], at_home, label)
 
     def _command(self, now: Moment) -> Tensor:
         """Return what the learner does, (B, H, 2) m/s."""
@@ -140,7 +142,7 @@ class Lesson:
         for t in range(steps):
             now = self.group.moment
             label, command = self._label(now.state), self._command(now)
-            if t % self.config.every == 0:
+            if t % self.config.example_interval == 0:
                 present = now.state.shepherd_mask
                 frames = self.policy.config.frames.seen(self.learned['history'][present])
                 first = self.learned['first'][present]
@@ -172,27 +174,27 @@ def train_dagger(
     dtype = fast_dtype()
     cloner = Cloner(deepcopy(policy), config.clone, config.seed)
     lessons = [Lesson(config, policy, i, dtype) for i in range(config.groups)]
-    examples = Examples(policy, config.capacity, dtype)
+    examples = Examples(policy, config.buffer_size, dtype)
     begun = time.monotonic()
     for done in range(config.rounds):
         for i, lesson in enumerate(lessons):
-            shown = done < config.shown or i < config.taught_groups
-            lesson.run(config.steps, shown, examples)
+            shown = done < config.teacher_rounds or i < config.teacher_groups
+            lesson.run(config.steps_per_round, shown, examples)
         cloner.slow_down(1 - 0.95 * done / config.rounds)
         loss = cloner.learn(examples)
         cloner.averaged(policy)
         seconds = time.monotonic() - begun
         line: dict[str, Any] = {
             'updates': done + 1,
-            'samples': (done + 1) * config.clone.batches * config.clone.minibatch,
+            'samples': (done + 1) * config.clone.updates_per_round * config.clone.batch_size,
             'examples': len(examples),
             'seconds': seconds,
             'seconds_left': seconds / (done + 1) * (config.rounds - done - 1),
             'loss': loss,
         }
-        if (done + 1) % config.judge_every == 0 or done + 1 == config.rounds:
-            judged = judge(policy, config.task, config.judge_episodes, config.judge_steps, dtype)
-            line |= run.judged(policy, judged, line)
+        if (done + 1) % config.eval_freq == 0 or done + 1 == config.rounds:
+            results = validate(policy, config.task, config.eval_episodes, config.eval_steps, dtype)
+            line |= run.keep_best(policy, results, line)
         run.write(line)
         on_line(line)
     for lesson in lessons:

@@ -62,7 +62,7 @@ class Visits:
             folder = episode_folder(out, seed)
             if folder.exists():
                 raise ConfigError(
-                    f'visited is {str(out)!r}: {folder.name} is there already; choose another '
+                    f'bag_folder is {str(out)!r}: {folder.name} is there already; choose another '
                     'folder or remove it'
                 )
         out.mkdir(parents=True, exist_ok=True)

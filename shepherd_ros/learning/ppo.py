@@ -22,15 +22,15 @@ class PPOConfig(Config):
     gamma: float = option(
         0.96, 'discount per 4 s, however long an action is held', low=0.0, high=1.0
     )
-    decay: float = option(0.95, 'lambda of the advantages', low=0.0, high=1.0)
-    clip: float = option(0.2, 'the probability ratio is cut to 1 -+ this', low=0.0, high=1.0)
-    epochs: int = option(3, 'times that each decision is learned from', low=1)
-    minibatch: int = option(1024, 'decisions per step of the optimiser', low=1)
-    actor_rate: float = option(1e-4, 'learning rate of the actor at first', low=0.0)
-    critic_rate: float = option(3e-4, 'learning rate of the critic at first', low=0.0)
-    entropy: float = option(0.002, 'weight of the entropy', low=0.0)
-    longest_gradient: float = option(0.5, 'gradients are cut to this norm', low=0.0)
-    average: float = option(
+    gae_lambda: float = option(0.95, 'lambda of the advantages', low=0.0, high=1.0)
+    clip_coef: float = option(0.2, 'the probability ratio is cut to 1 -+ this', low=0.0, high=1.0)
+    update_epochs: int = option(3, 'times that each decision is learned from', low=1)
+    minibatch_size: int = option(1024, 'decisions per step of the optimiser', low=1)
+    actor_learning_rate: float = option(1e-4, 'learning rate of the actor at first', low=0.0)
+    critic_learning_rate: float = option(3e-4, 'learning rate of the critic at first', low=0.0)
+    entropy_coef: float = option(0.002, 'weight of the entropy', low=0.0)
+    max_grad_norm: float = option(0.5, 'gradients are cut to this norm', low=0.0)
+    ema_decay: float = option(
         0.995,
         'the policy that is kept is a running mean of the weights, by this',
         low=0.0,
@@ -70,10 +70,14 @@ class Learner:
     def __init__(self, policy: Policy, config: PPOConfig) -> None:
         """Make the optimisers."""
         self.policy, self.config = policy, config
-        self.actor = torch.optim.Adam(policy.actor.parameters(), config.actor_rate, eps=1e-5)
-        self.critic = torch.optim.Adam(policy.critic.parameters(), config.critic_rate, eps=1e-5)
+        self.actor = torch.optim.Adam(
+            policy.actor.parameters(), config.actor_learning_rate, eps=1e-5
+        )
+        self.critic = torch.optim.Adam(
+            policy.critic.parameters(), config.critic_learning_rate, eps=1e-5
+        )
         self.average = AveragedModel(
-            policy.actor, multi_avg_fn=get_ema_multi_avg_fn(config.average)
+            policy.actor, multi_avg_fn=get_ema_multi_avg_fn(config.ema_decay)
         )
 
     def state_dict(self) -> dict[str, Any]:
@@ -104,8 +108,8 @@ class Learner:
 
     def slow_down(self, share: float) -> None:
         """Set the learning rates to a share of those at first."""
-        self.actor.param_groups[0]['lr'] = self.config.actor_rate * share
-        self.critic.param_groups[0]['lr'] = self.config.critic_rate * share
+        self.actor.param_groups[0]['lr'] = self.config.actor_learning_rate * share
+        self.critic.param_groups[0]['lr'] = self.config.critic_learning_rate * share
 
     def update(
         self, store: Store, batch: Batch, generator: torch.Generator, actor: bool = True
@@ -122,14 +126,14 @@ class Learner:
         gain = normalised(gain)
         seen: dict[str, list[float]] = {'actor_loss': [], 'critic_loss': [], 'kl': [], 'std': []}
         acting = actor
-        for _ in range(config.epochs):
+        for _ in range(config.update_epochs):
             order = torch.randperm(size, generator=generator, device=generator.device)
             order = order.to(batch.value.device)
             parts = [
                 part
-                for part in order.split(config.minibatch)
+                for part in order.split(config.minibatch_size)
                 # a rest is a poor estimate
-                if len(part) >= config.minibatch // 2 or size <= config.minibatch
+                if len(part) >= config.minibatch_size // 2 or size <= config.minibatch_size
             ]
             for chosen in parts[: least(len(parts))]:
                 share = len(chosen) / total(len(chosen))  # of the samples of this step
@@ -142,10 +146,10 @@ class Learner:
                     if kl > config.target_kl:
                         acting = False
                     else:
-                        loss = clipped_loss(log_ratio.exp(), gain[chosen], config.clip).mean()
+                        loss = clipped_loss(log_ratio.exp(), gain[chosen], config.clip_coef).mean()
                         seen['actor_loss'].append(float(loss.detach()))
                         seen['std'].append(float(std.detach().mean()))
-                        loss = loss - config.entropy * std.log().sum(dim=-1).mean()
+                        loss = loss - config.entropy_coef * std.log().sum(dim=-1).mean()
                         self._descend(self.actor, self.policy.actor, loss * share)
                         self.average.update_parameters(self.policy.actor)
                 error = (self.policy.critic(x) - target[chosen]).square().mean()
@@ -161,5 +165,5 @@ class Learner:
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         add_up(p.grad for p in network.parameters() if p.grad is not None)
-        nn.utils.clip_grad_norm_(network.parameters(), self.config.longest_gradient)
+        nn.utils.clip_grad_norm_(network.parameters(), self.config.max_grad_norm)
         optimiser.step()

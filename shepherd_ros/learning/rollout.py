@@ -67,7 +67,7 @@ class Rollout:
         All is where the policy is.
         """
         self.policy, self.decisions, self.reward = policy, decisions, reward
-        self.device, repeat = policy.device, policy.config.repeat
+        self.device, repeat = policy.device, policy.config.action_repeat
         # each process draws and starts for itself
         self.generator = torch.Generator(self.device).manual_seed(seed + STRANGERS * rank())
         self.steps = task.episode_steps // repeat * repeat
@@ -81,13 +81,15 @@ class Rollout:
             self.store.put(g, self.store.before, group.moment, starts=True)
 
     @torch.no_grad()
-    def collect(self, gamma: float, decay: float, scale: float) -> tuple[Batch, dict[str, float]]:
+    def collect(
+        self, gamma: float, gae_lambda: float, scale: float
+    ) -> tuple[Batch, dict[str, float]]:
         """
         Make the decisions; return them and means of the reward and of its terms.
 
         scale multiplies the reward, so that values are of order one.
         """
-        repeat = self.policy.config.repeat
+        repeat = self.policy.config.action_repeat
         shape = (len(self.groups), self.decisions, *self.store.mask.shape[2:])
         action = torch.zeros(*shape, 2, device=self.device)
         density, value, following, reward = action.new_zeros(4, *shape)
@@ -102,7 +104,7 @@ class Rollout:
                 self.store.put(g, self.store.before + t + 1, group.moment)
                 made.ended[g, t] = group.left <= 0
             self._begin_anew(t, made)
-        batch = self._batch(made, gamma, decay)
+        batch = self._batch(made, gamma, gae_lambda)
         return batch, {'reward': float(made.reward.mean() / scale / repeat)} | self._terms(repeat)
 
     def _decide(self, t: int, made: Decisions) -> Tensor:
@@ -141,7 +143,7 @@ class Rollout:
         )
         return values
 
-    def _batch(self, made: Decisions, gamma: float, decay: float) -> Batch:
+    def _batch(self, made: Decisions, gamma: float, gae_lambda: float) -> Batch:
         """Return the decisions of those who are there, with their advantages."""
         store, everyone = self.store, torch.arange(len(self.groups), device=self.device)
         ended = made.ended.to(self.device)
@@ -153,7 +155,7 @@ class Rollout:
             torch.where(ended[:, :, None, None], made.next_value, following).transpose(0, 1),
             ended.T[..., None, None],
             gamma,
-            decay,
+            gae_lambda,
         ).transpose(0, 1)
         rows = slice(store.before, store.before + self.decisions)
         g, time, world, shepherd = store.mask[:, rows].nonzero().unbind(dim=-1)

@@ -82,7 +82,7 @@ class Run:
         torch.save(dict(state), beside)
         beside.replace(self.state)
 
-    def judged(
+    def keep_best(
         self, policy: Policy, results: Mapping[str, float], progress: Mapping[str, Any]
     ) -> dict[str, float]:
         """Keep a policy if its score is the best so far; return the results as part of a line."""
@@ -91,9 +91,9 @@ class Run:
             save_policy(
                 self.best,
                 policy,
-                self.record | {'progress': dict(progress), 'judged': dict(results)},
+                self.record | {'progress': dict(progress), 'eval': dict(results)},
             )
-        return {f'judge/{name}': value for name, value in results.items()}
+        return {f'eval/{name}': value for name, value in results.items()}
 
     def write(self, line: Mapping[str, Any]) -> None:
         """Add a line to the curve, and its numbers to TensorBoard."""

@@ -16,7 +16,7 @@ from shepherd_ros.datasets.steps import Steps
 from shepherd_ros.learning.clone import CloneConfig, Cloner, Examples
 from shepherd_ros.learning.run_folder import Run
 from shepherd_ros.learning.task import TaskConfig
-from shepherd_ros.learning.validation import judge
+from shepherd_ros.learning.validation import validate
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.observation import turned
@@ -29,10 +29,12 @@ class BCConfig(Config):
 
     seed: int = option(0, 'seed of weights and order', low=0)
     epochs: int = option(5, 'times that all bags are read', low=1)
-    capacity: int = option(100_000, 'examples that are mixed with each other', low=1)
-    reuse: float = option(1.0, 'times that an example is learned from in an epoch', low=0.01)
-    judge_episodes: int = option(32, 'episodes of the evaluation after an epoch', low=2)
-    judge_steps: int = option(1000, 'steps of these episodes', low=1)
+    buffer_size: int = option(100_000, 'examples that are mixed with each other', low=1)
+    replay_ratio: float = option(
+        1.0, 'times that an example is learned from in an epoch', low=0.01
+    )
+    eval_episodes: int = option(32, 'episodes of the evaluation after an epoch', low=2)
+    eval_steps: int = option(1000, 'steps of these episodes', low=1)
     labels: str = option('', 'namespace of the commands to learn; empty: those that were driven')
     task: TaskConfig = part(TaskConfig)
     clone: CloneConfig = part(CloneConfig)
@@ -83,7 +85,7 @@ def train_bc(
     if the bags hold no example.
     """
     dtype = fast_dtype()
-    examples = Examples(policy, config.capacity, dtype)
+    examples = Examples(policy, config.buffer_size, dtype)
     cloner = Cloner(deepcopy(policy), config.clone, config.seed)
     begun, learned = time.monotonic(), 0
     report = Report()
@@ -95,16 +97,16 @@ def train_bc(
         order = config.seed + epoch
         for frames, first, wanted in stream_examples(places, policy, report, order, config.labels):
             examples.add(frames, first, wanted)
-            due += config.reuse * len(first) / config.clone.minibatch
+            due += config.replay_ratio * len(first) / config.clone.batch_size
             while due >= 1:
                 losses.append(cloner.take_step(examples))
-                learned, due = learned + config.clone.minibatch, due - 1
+                learned, due = learned + config.clone.batch_size, due - 1
         if not report.examples:
             raise ConfigError(f'no step of the bags can be learned from:\n{report.text()}')
         if not losses:  # fewer examples than one batch has
             losses.append(cloner.take_step(examples))
         cloner.averaged(policy)
-        judged = judge(policy, config.task, config.judge_episodes, config.judge_steps, dtype)
+        results = validate(policy, config.task, config.eval_episodes, config.eval_steps, dtype)
         seconds = time.monotonic() - begun
         line: dict[str, Any] = {
             'updates': epoch + 1,
@@ -113,7 +115,7 @@ def train_bc(
             'seconds_left': seconds / (epoch + 1) * (config.epochs - epoch - 1),
             'loss': sum(losses) / len(losses),
         }
-        line |= run.judged(policy, judged, line)
+        line |= run.keep_best(policy, results, line)
         run.write(line)
         on_line(line)
     return report

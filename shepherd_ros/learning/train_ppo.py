@@ -19,7 +19,7 @@ from shepherd_ros.learning.ppo import Learner, PPOConfig
 from shepherd_ros.learning.rollout import Rollout
 from shepherd_ros.learning.run_folder import Run
 from shepherd_ros.learning.task import TaskConfig
-from shepherd_ros.learning.validation import judge
+from shepherd_ros.learning.validation import validate
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
 import torch
@@ -36,10 +36,10 @@ class PPORunConfig(Config):
     groups: int = option(4, 'groups of worlds; those of one share what is drawn', low=1)
     worlds: int = option(36, 'worlds of a group', low=1)
     decisions: int = option(24, 'decisions of each shepherd between updates', low=1)
-    critic_first: int = option(0, 'updates in which only the critic learns', low=0)
-    judge_every: int = option(10, 'updates from one evaluation to the next', low=1)
-    judge_episodes: int = option(32, 'episodes of an evaluation', low=2)
-    judge_steps: int = option(1000, 'steps of these episodes', low=1)
+    critic_warmup: int = option(0, 'updates in which only the critic learns', low=0)
+    eval_freq: int = option(10, 'updates from one evaluation to the next', low=1)
+    eval_episodes: int = option(32, 'episodes of an evaluation', low=2)
+    eval_steps: int = option(1000, 'steps of these episodes', low=1)
     task: TaskConfig = part(TaskConfig)
     anneal: AnnealConfig = part(AnnealConfig)
     ppo: PPOConfig = part(PPOConfig)
@@ -75,19 +75,19 @@ class Training:
 
     def round(self) -> dict[str, float]:
         """Collect and learn once; return what to watch."""
-        config, repeat = self.config, self.policy.config.repeat
+        config, repeat = self.config, self.policy.config.action_repeat
         used = self.progress['samples'] / config.samples
         stage = stage_at(used, len(self.stages), config.anneal)
         if stage != self.progress['stage']:
             self.enter(stage)
-            repeat = self.policy.config.repeat
+            repeat = self.policy.config.action_repeat
         begun = time.monotonic()
         self.learner.slow_down(1 - used)
         gamma = discount(config.ppo.gamma, self.policy.config)
         scale = 100 * (1 - gamma) / repeat
-        batch, seen = self.rollout.collect(gamma, config.ppo.decay, scale)
+        batch, seen = self.rollout.collect(gamma, config.ppo.gae_lambda, scale)
         collected = time.monotonic()
-        acting = self.progress['updates'] >= config.critic_first
+        acting = self.progress['updates'] >= config.critic_warmup
         seen |= self.learner.update(self.rollout.store, batch, self.generator, acting)
         self.rollout.roll()
         self.progress['samples'] += int(total(len(batch.value)))
@@ -95,7 +95,7 @@ class Training:
         made = config.groups * config.worlds * config.decisions * repeat
         self.progress['world_steps'] += made * ranks()
         seen['rollout_share'] = (collected - begun) / (time.monotonic() - begun)
-        return seen | {'repeat': float(repeat)}
+        return seen | {'action_repeat': float(repeat)}
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that training goes on from."""
@@ -140,11 +140,11 @@ def train_ppo(
         begun = time.monotonic()
         line: dict[str, Any] = training.round()
         last = progress['samples'] >= config.samples
-        due = last or progress['updates'] % config.judge_every == 0
+        due = last or progress['updates'] % config.eval_freq == 0
         if due and rank() == 0:
             kept_policy = training.learner.averaged()
-            results = judge(
-                kept_policy, config.task, config.judge_episodes, config.judge_steps, training.dtype
+            results = validate(
+                kept_policy, config.task, config.eval_episodes, config.eval_steps, training.dtype
             )
         progress['seconds'] += time.monotonic() - begun
         rate = progress['samples'] / progress['seconds']
@@ -152,7 +152,7 @@ def train_ppo(
         line = {**progress, 'samples_per_second': rate, 'seconds_left': left, **line}
         if due:
             if rank() == 0:
-                line |= run.judged(kept_policy, results, progress)
+                line |= run.keep_best(kept_policy, results, progress)
             run.save(training.state_dict() | {'best_score': run.best_score})
         if rank() == 0:
             run.write(line)

@@ -1,4 +1,4 @@
-"""How good a policy is: whole episodes by its mean action, from fixed starts."""
+"""Evaluation of a policy in training: whole episodes by its mean action, from fixed starts."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ import torch
 FIRST_SEED = 900_000_000  # far from those of training and of tables
 
 
-def judged_sizes(task: TaskConfig) -> list[int]:
-    """Return flock sizes to judge with: a middling one; where doublings count, also the ends."""
+def validation_sizes(task: TaskConfig) -> list[int]:
+    """Return flock sizes to evaluate: a middling one; where doublings count, also the ends."""
     low, high = task.sheep_min, task.sheep_max
     if task.sheep_scale == 'linear':
         return [(low + high) // 2]
     return sorted({low, round(math.sqrt(low * high)), high})
 
 
-def judge(
+def validate(
     policy: Policy, task: TaskConfig, episodes: int, steps: int, dtype: torch.dtype
 ) -> dict[str, float]:
     """
@@ -33,7 +33,7 @@ def judge(
 
     `score` is what checkpoints are chosen by: the return, and the fraction in the goal at the end.
     """
-    sizes = judged_sizes(task)
+    sizes = validation_sizes(task)
     count = max(episodes // (len(task.flocks) * len(sizes)), 1)
     results = []
     for flock, sheep in product(task.flocks, sizes):
@@ -49,6 +49,6 @@ def judge(
         results.append(run_episodes(config, controller, FIRST_SEED, count, device=device))
     means = {
         name: float(torch.cat([result[name] for result in results]).mean())
-        for name in ('return', *(metric.name for metric in shown('judge')))
+        for name in ('return', *(metric.name for metric in shown('eval')))
     }
     return means | {'score': means['return'] / 10 + means['fraction_in_goal']}

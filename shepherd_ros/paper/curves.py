@@ -47,7 +47,7 @@ def read_curve(path: Path) -> Curve:
     if not rows or not all(isinstance(row, dict) and 'samples' in row for row in rows):
         raise ConfigError(f'{file} is no curve of a training: expected lines with samples')
     judged = not any('reward' in row for row in rows)
-    field, scale = ('judge/return', 1) if judged else ('reward', EPISODE)
+    field, scale = ('eval/return', 1) if judged else ('reward', EPISODE)
     points = [(row['samples'], scale * row[field]) for row in rows if field in row]
     values = np.array(points, np.float64).reshape(-1, 2)
     name = path.name if path.is_dir() else path.stem

@@ -18,6 +18,7 @@ def card(name: str, policy: Policy, record: Mapping[str, Any]) -> str:
     config = policy.config
     sees, network = config.observation, config.network
     actor = sum(p.numel() for p in policy.actor.parameters())
+    held = config.action_repeat
     lines = [f'# Checkpoint `{name}`', '', '## How it was made', '']
     commands = said(record.get('command', 'the checkpoint does not say')).split(' && ')
     lines += ['```bash', *commands, '```', '']
@@ -38,10 +39,10 @@ def card(name: str, policy: Policy, record: Mapping[str, Any]) -> str:
         f'- {network.filters_1} and {network.filters_2} filters, {network.hidden} units, '
         f'{network.padding} padding: {actor:,} weights of the actor, as many but a few of the '
         'critic',
-        f'- an action is held for {config.repeat} step{"s" if config.repeat > 1 else ""}',
+        f'- an action is held for {held} step{"s" if held > 1 else ""}',
         '',
     ]
-    lines += judged(record.get('judged'))
+    lines += _evaluation(record.get('eval'))
     lines += trained_for(record.get('config'))
     return '\n'.join(lines).rstrip() + '\n'
 
@@ -52,7 +53,7 @@ def said(value: object) -> str:
     return (text if text.isprintable() else ascii(text)).replace('`', "'").replace('|', '/')
 
 
-def judged(results: Any) -> list[str]:
+def _evaluation(results: Any) -> list[str]:
     """Return what training measured on the starts that it chose the checkpoint on."""
     if not isinstance(results, Mapping):
         return []
@@ -63,7 +64,7 @@ def judged(results: Any) -> list[str]:
     ]
     rows = [
         f'| {title} | {results[key]:.4g} |'
-        for key, title in [*((m.name, m.short) for m in shown('judge')), ('return', 'return')]
+        for key, title in [*((m.name, m.short) for m in shown('eval')), ('return', 'return')]
         if isinstance(results.get(key), int | float)
     ]
     return [*head, '', '| | mean |', '|---|--:|', *rows, '']

@@ -44,7 +44,7 @@ def fly(
     (..., H, 2) for sampled actions; None: the mean.
     """
     config, count = policy.config, memory['count']
-    due = count % config.repeat == 0
+    due = count % config.action_repeat == 0
     if not due.any():
         return memory['command'], memory | {'count': count + 1}
     ranges = look()

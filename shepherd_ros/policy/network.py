@@ -26,12 +26,12 @@ class NetworkConfig(Config):
         'valid: as the paper counts; circular: rays close to a ring, for layout ring only',
         choices=('valid', 'circular'),
     )
-    spread: str = option(
+    std_type: str = option(
         'state',
         'standard deviation of actions: state: two more outputs (paper); free: two numbers',
         choices=('state', 'free'),
     )
-    first_std: float = option(0.6, 'standard deviation before training [m/s]', low=0.001)
+    init_std: float = option(0.6, 'standard deviation before training [m/s]', low=0.001)
     min_std: float = option(0.05, 'smallest standard deviation [m/s]', low=0.0001)
     max_std: float = option(1.65, 'largest standard deviation [m/s]', low=0.001)
 
@@ -98,17 +98,17 @@ class Actor(nn.Module):
         super().__init__()
         self.config = config
         self.body = Body(shape, config)
-        self.head = nn.Linear(config.hidden, 4 if config.spread == 'state' else 2)
+        self.head = nn.Linear(config.hidden, 4 if config.std_type == 'state' else 2)
         nn.init.orthogonal_(self.head.weight, 0.01)
         nn.init.zeros_(self.head.bias)
-        if config.spread == 'free':
-            self.log_std = nn.Parameter(torch.full((2,), math.log(config.first_std)))
+        if config.std_type == 'free':
+            self.log_std = nn.Parameter(torch.full((2,), math.log(config.init_std)))
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Return mean and standard deviation in float32."""
         out = self.head(self.body(x).float())
-        if self.config.spread == 'state':
-            log_std = out[:, 2:] + math.log(self.config.first_std)
+        if self.config.std_type == 'state':
+            log_std = out[:, 2:] + math.log(self.config.init_std)
         else:
             log_std = self.log_std.expand(len(x), 2)
         low, high = math.log(self.config.min_std), math.log(self.config.max_std)

@@ -25,7 +25,7 @@ class PolicyConfig(Config):
     """What a policy was trained for; an episode has to agree with it."""
 
     dt: float = option(0.5, 'seconds per step', low=0.001, high=10.0)
-    repeat: int = option(1, 'steps that one action is held', low=1, high=1000)
+    action_repeat: int = option(1, 'steps that one action is held', low=1, high=1000)
     lidar: LidarConfig = part(LidarConfig)
     observation: ObservationConfig = part(ObservationConfig)
     network: NetworkConfig = part(NetworkConfig)
@@ -33,10 +33,10 @@ class PolicyConfig(Config):
     def __post_init__(self) -> None:
         """Check each field and what has to fit together."""
         super().__post_init__()
-        if self.observation.spacing % self.repeat:
+        if self.observation.spacing % self.action_repeat:
             raise ConfigError(
-                f'spacing is {self.observation.spacing}: expected a multiple of repeat, '
-                f'{self.repeat}, as frames are taken when an action is chosen'
+                f'spacing is {self.observation.spacing}: expected a multiple of action_repeat, '
+                f'{self.action_repeat}, as frames are taken when an action is chosen'
             )
         if self.network.padding == 'circular' and self.observation.layout != 'ring':
             raise ConfigError(
@@ -47,7 +47,7 @@ class PolicyConfig(Config):
     @property
     def frames(self) -> Frames:
         """Return which readings are seen, one at each decision."""
-        return Frames(self.observation.n_frames, self.observation.spacing // self.repeat)
+        return Frames(self.observation.n_frames, self.observation.spacing // self.action_repeat)
 
 
 class Policy(nn.Module):

@@ -131,7 +131,8 @@ class Groups:
             raise BagError(
                 bag.path,
                 f'labels is {labels!r}, but it has no topic {said}/shepherd_<h>/cmd_vel',
-                'use labels of a recording that has them, such as those of train dagger --visited',
+                'use labels of a recording that has them, such as those of train dagger '
+                '--bag-folder',
             )
 
     @property

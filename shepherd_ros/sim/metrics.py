@@ -20,7 +20,7 @@ from torch import Tensor
 
 PLACES = {
     'summary': 'tables of results, and what the demo prints',
-    'judge': 'what training measures: its curve, checkpoints and their cards',
+    'eval': 'what training measures: its curve, checkpoints and their cards',
     'progress': 'lines that a training prints',
     'bag': 'table of bag info',
     'page': 'curves of a replay',
@@ -119,7 +119,7 @@ _BUILT_IN = (
         title='time until the flock is home [steps]',
         short='completion [steps]',
         paper=True,
-        shown={'summary': 1, 'judge': 2, 'bag': 1},
+        shown={'summary': 1, 'eval': 2, 'bag': 1},
     ),
     Metric(
         'shepherd_path_length',
@@ -129,7 +129,7 @@ _BUILT_IN = (
         title='shepherd path [m]',
         short='shepherd path [m]',
         paper=True,
-        shown={'summary': 2, 'judge': 5, 'bag': 2},
+        shown={'summary': 2, 'eval': 5, 'bag': 2},
     ),
     Metric(
         'flock_path_length',
@@ -148,7 +148,7 @@ _BUILT_IN = (
         _flock_spread,
         short='spread [m]',
         paper=True,
-        shown={'summary': 4, 'judge': 6, 'bag': 4, 'page': 3},
+        shown={'summary': 4, 'eval': 6, 'bag': 4, 'page': 3},
     ),
     Metric(
         'fraction_reached',
@@ -158,7 +158,7 @@ _BUILT_IN = (
         title='share that reached the goal',
         short='reached',
         paper=True,
-        shown={'summary': 5, 'judge': 3, 'progress': 1, 'bag': 5},
+        shown={'summary': 5, 'eval': 3, 'progress': 1, 'bag': 5},
     ),
     Metric(
         'completed',
@@ -166,7 +166,7 @@ _BUILT_IN = (
         '1 once the center of mass has been in the goal, else 0',
         lambda tally, state, steps: tally.completed.to(tally.steps.dtype),
         short='episodes in which the flock came home',
-        shown={'judge': 1},
+        shown={'eval': 1},
     ),
     Metric(
         'shepherd_path_to_completion',
@@ -200,7 +200,7 @@ _BUILT_IN = (
         lambda tally, state, steps: tally.in_goal,
         title='share in the goal at the end',
         short='in goal at the end',
-        shown={'summary': 6, 'judge': 4, 'progress': 2, 'bag': 6, 'page': 1},
+        shown={'summary': 6, 'eval': 4, 'progress': 2, 'bag': 6, 'page': 1},
     ),
     Metric(
         'goal_distance',

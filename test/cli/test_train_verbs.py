@@ -14,14 +14,14 @@ NETWORK = (
     '--policy.lidar.n-rays 96'
 )
 TINY = (
-    '--samples 40 --groups 1 --worlds 2 --decisions 4 --judge-episodes 2 --judge-steps 8 '
-    '--judge-every 2 --sheep-min 3 --sheep-max 3 --shepherds-max 2 '
-    '--episode-steps 32 --minibatch 8'
+    '--samples 40 --groups 1 --worlds 2 --decisions 4 --eval-episodes 2 --eval-steps 8 '
+    '--eval-freq 2 --sheep-min 3 --sheep-max 3 --shepherds-max 2 '
+    '--episode-steps 32 --minibatch-size 8'
 )
 LESSONS = (
-    '--rounds 2 --groups 1 --worlds 2 --steps 8 --shown 1 --taught-groups 0 --judge-every 1 '
-    '--judge-episodes 2 --judge-steps 8 --sheep-min 3 --sheep-max 3 '
-    '--shepherds-max 2 --batches 2 --minibatch 4'
+    '--rounds 2 --groups 1 --worlds 2 --steps-per-round 8 --teacher-rounds 1 --teacher-groups 0 '
+    '--eval-freq 1 --eval-episodes 2 --eval-steps 8 --sheep-min 3 --sheep-max 3 '
+    '--shepherds-max 2 --updates-per-round 2 --batch-size 4'
 )
 
 
@@ -39,7 +39,7 @@ def test_ppo_from_scratch_holds_actions_for_shorter(
     assert f'the best policy is in {tmp_path / "best.safetensors"}' in said
     lines = [json.loads(x) for x in (tmp_path / 'curve.jsonl').read_text().splitlines()]
     assert min(line['seconds_left'] for line in lines) == lines[-1]['seconds_left'] == 0
-    paces = [line['repeat'] for line in lines]
+    paces = [line['action_repeat'] for line in lines]
     assert paces[0] == 8.0
     assert paces == sorted(paces, reverse=True)
     assert paces[-1] < 8.0
@@ -49,21 +49,21 @@ def test_training_goes_on_from_a_checkpoint_with_what_is_asked_changed(tmp_path:
     assert train(f'dagger {NETWORK} {LESSONS}', tmp_path / 'a') == 0
     first = tmp_path / 'a' / 'best.safetensors'
     # min-std is what PPO has by default, and is asked for here: the checkpoint has 0.05
-    words = f'--start {first} --policy.network.first-std 0.3 --policy.network.min-std 0.2'
-    words += ' --actor-rate 0'
-    assert train(f'ppo {words} {TINY} --critic-first 99', tmp_path / 'b') == 0
+    words = f'--pretrained {first} --policy.network.init-std 0.3 --policy.network.min-std 0.2'
+    words += ' --actor-learning-rate 0'
+    assert train(f'ppo {words} {TINY} --critic-warmup 99', tmp_path / 'b') == 0
     start, end = load_policy(str(first)), load_policy(str(tmp_path / 'b' / 'best.safetensors'))
     assert start.config.network.min_std == 0.05
-    assert end.config.network.first_std == 0.3
+    assert end.config.network.init_std == 0.3
     assert end.config.network.min_std == 0.2
     assert end.config.network.filters_1 == 2
-    assert end.config.repeat == start.config.repeat == 1
+    assert end.config.action_repeat == start.config.action_repeat == 1
     for name, value in start.actor.state_dict().items():
         assert value.equal(end.actor.state_dict()[name]), name
     assert not start.critic.head.weight.equal(end.critic.head.weight)
     _, record, _ = read_metadata(tmp_path / 'b' / 'best.safetensors')
     assert record['config']['start'] == str(first)
-    assert record['command'].startswith(f'shepherd train ppo --start {first}')
+    assert record['command'].startswith(f'shepherd train ppo --pretrained {first}')
 
 
 def test_quick_is_another_recipe_in_which_options_count_as_ever(tmp_path: Path) -> None:
@@ -86,13 +86,19 @@ def test_quick_is_another_recipe_in_which_options_count_as_ever(tmp_path: Path) 
     ('words', 'message'),
     [
         ('ppo --threads 0', '--threads is 0: expected at least 1'),
-        ('ppo --start nowhere', "checkpoint is 'nowhere': expected a .safetensors file"),
+        ('ppo --pretrained nowhere', "checkpoint is 'nowhere': expected a .safetensors file"),
         ('ppo --samples 0', r'samples is 0: expected a value in [1, inf]'),
-        ('ppo --last-repeat 3', 'last_repeat is 3: expected a number that halving'),
-        ('ppo --policy.repeat 3', 'spacing is 8: expected a multiple of repeat, 3'),
+        (
+            'ppo --final-action-repeat 3',
+            'final_action_repeat is 3: expected a number that halving',
+        ),
+        ('ppo --policy.action-repeat 3', 'spacing is 8: expected a multiple of action_repeat, 3'),
         ('dagger --teacher shepard', "controller is 'shepard': expected one of"),
         ('ppo --sheep-min 200', 'sheep_min is 200: expected at most sheep_max, 100'),
-        ('ppo --start imitation --policy.network.hidden 3', '--start imitation does not fit'),
+        (
+            'ppo --pretrained imitation --policy.network.hidden 3',
+            '--pretrained imitation does not fit',
+        ),
         ('bc', 'no bags are given: expected'),
     ],
 )

@@ -58,7 +58,7 @@ def test_one_shepherd_stands_behind_the_flock_as_far_as_it_is_noticed() -> None:
 
 def test_far_away_it_keeps_the_stand_off() -> None:
     # 30 + 2 + 6 m from the goal is more than r_s
-    place, _ = settle(scene(square(0, 30), [(3.0, 40.0)]), 200, stand_off=6.0)
+    place, _ = settle(scene(square(0, 30), [(3.0, 40.0)]), 200, standoff=6.0)
     assert place.tolist() == pytest.approx([0.0, 38.0], abs=0.05)
 
 
@@ -160,7 +160,7 @@ def test_how_near_sheep_notice_is_that_of_the_flock_or_what_is_given() -> None:
     places, _ = settle(scene(square(1, 0), team), 100, world)
     # all four are inside: a ring so narrow that none can be there unnoticed
     assert places.norm(dim=-1).tolist() == pytest.approx([7.5 - 0.15 * 4] * 3, abs=0.1)
-    place, _ = settle(scene(square(10, 0), [(30.0, 0.0)]), 100, notice=25.0)
+    place, _ = settle(scene(square(10, 0), [(30.0, 0.0)]), 100, notice_range=25.0)
     assert place.tolist() == pytest.approx([25.0, 0.0], abs=0.05)
 
 
@@ -197,14 +197,15 @@ def command(shepherds: list[tuple[float, float]], **options: Any) -> Tensor:
 
 def test_shepherds_make_way_for_each_other() -> None:
     # 0.6 m apart, 1.5 m being asked for: 2 (1 - 0.6 / 1.5) m/s, half right of straight apart
-    alone = command([(0.0, 100.0), (0.6, 100.0)], apart=0.0)
+    alone = command([(0.0, 100.0), (0.6, 100.0)], separation=0.0)
     aside = 1.2 * math.sqrt(0.5)
     wanted = alone + torch.tensor([[-aside, -aside], [aside, aside]])
     wanted = wanted / wanted.norm(dim=-1, keepdim=True).clamp(min=1.0)
     torch.testing.assert_close(command([(0.0, 100.0), (0.6, 100.0)]), wanted)
     # as near as they want to be, they do as if alone
     torch.testing.assert_close(
-        command([(0.0, 100.0), (1.5, 100.0)]), command([(0.0, 100.0), (1.5, 100.0)], apart=0.0)
+        command([(0.0, 100.0), (1.5, 100.0)]),
+        command([(0.0, 100.0), (1.5, 100.0)], separation=0.0),
     )
 
 

@@ -295,7 +295,7 @@ def test_many_sizes_share_a_bar() -> None:
 def test_bc_learns_the_same_from_a_built_folder(bags: Path, tmp_path: Path) -> None:
     built = tmp_path / 'built'
     assert main(['dataset', 'build', str(bags), '--out', str(built)]) == 0
-    words = ['--epochs', '1', '--judge-episodes', '2', '--judge-steps', '2', '--minibatch', '16']
+    words = ['--epochs', '1', '--eval-episodes', '2', '--eval-steps', '2', '--batch-size', '16']
     words += ['--policy.lidar.n-rays', str(RAYS), '--policy.network.hidden', '4']
     words += ['--policy.network.filters-1', '2', '--policy.network.filters-2', '2']
     losses = []

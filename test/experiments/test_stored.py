@@ -64,7 +64,7 @@ def without(data: Any, name: str) -> Any:
         EnvConfig(),
         WorldConfig(n_sheep=5, flock=ReynoldsFlock(max_acceleration=2.0)),
         EnvConfig(noise_std=0.5, reward=RewardConfig(occupancy=1.0)),
-        PPORunConfig(samples=7, ppo=PPOConfig(minibatch=4), task=TaskConfig(noise_max=1.0)),
+        PPORunConfig(samples=7, ppo=PPOConfig(minibatch_size=4), task=TaskConfig(noise_max=1.0)),
         PolicyConfig(network=NetworkConfig(hidden=8)),
     ],
 )
@@ -232,8 +232,8 @@ def test_rows_of_what_is_not_known_here_are_kept_and_found_by_nothing(tmp_path: 
 
 
 def test_a_run_goes_on_after_an_option_was_added(tmp_path: Path) -> None:
-    run = PPORunConfig(samples=300, ppo=PPOConfig(minibatch=16))
-    asked = {'policy': PolicyConfig(), 'run': run, 'start': ''}
+    run = PPORunConfig(samples=300, ppo=PPOConfig(minibatch_size=16))
+    asked = {'policy': PolicyConfig(), 'run': run, 'pretrained': ''}
     Run(tmp_path, {'config': asked})
     file = tmp_path / 'run.json'
     data = json.loads(file.read_text())
@@ -244,7 +244,7 @@ def test_a_run_goes_on_after_an_option_was_added(tmp_path: Path) -> None:
     for other in (
         {'run': replace(run, task=TaskConfig(effort=0.1))},
         {'policy': PolicyConfig(network=NetworkConfig(hidden=8))},
-        {'start': 'imitation'},
+        {'pretrained': 'imitation'},
     ):
         with pytest.raises(ConfigError, match='holds a run with another configuration'):
             Run(tmp_path, {'config': asked | other})

@@ -12,17 +12,17 @@ from shepherd_ros.policy.policy import PolicyConfig
 from shepherd_ros.sim.observation import ObservationConfig
 
 FIRST = PolicyConfig(
-    repeat=8, observation=ObservationConfig(spacing=8), network=NetworkConfig(min_std=0.4)
+    action_repeat=8, observation=ObservationConfig(spacing=8), network=NetworkConfig(min_std=0.4)
 )
 
 
 def test_the_time_is_halved_down_to_the_last() -> None:
-    found = stages(FIRST, AnnealConfig(last_repeat=1, last_std=0.05))
-    assert [stage.repeat for stage in found] == [8, 4, 2, 1]
+    found = stages(FIRST, AnnealConfig(final_action_repeat=1, final_min_std=0.05))
+    assert [stage.action_repeat for stage in found] == [8, 4, 2, 1]
     # the floor of the spread falls by the same factor at each stage, 0.4 / 0.05 = 2 ** 3
     assert [stage.network.min_std for stage in found] == pytest.approx([0.4, 0.2, 0.1, 0.05])
     assert [stage.frames.apart for stage in found] == [1, 2, 4, 8]
-    assert stages(FIRST, AnnealConfig(last_repeat=8)) == [FIRST]
+    assert stages(FIRST, AnnealConfig(final_action_repeat=8)) == [FIRST]
 
 
 def test_a_policy_of_one_step_has_one_stage() -> None:
@@ -31,22 +31,24 @@ def test_a_policy_of_one_step_has_one_stage() -> None:
 
 @pytest.mark.parametrize('last', [3, 5])
 def test_an_end_that_halving_misses_is_refused(last: int) -> None:
-    with pytest.raises(ConfigError, match=f'last_repeat is {last}: .* repeat, 8, comes to'):
-        stages(FIRST, AnnealConfig(last_repeat=last))
+    with pytest.raises(
+        ConfigError, match=f'final_action_repeat is {last}: .* action_repeat, 8, comes to'
+    ):
+        stages(FIRST, AnnealConfig(final_action_repeat=last))
 
 
 def test_stages_share_what_the_first_leaves() -> None:
-    config = AnnealConfig(first_share=0.4)
+    config = AnnealConfig(anneal_start=0.4)
     shares = (0.0, 0.39, 0.4, 0.59, 0.61, 0.79, 0.81, 0.999, 1.0)
     assert [stage_at(share, 4, config) for share in shares] == [0, 0, 1, 1, 2, 2, 3, 3, 3]
     assert stage_at(0.9, 1, config) == 0
-    assert stage_at(0.99, 4, AnnealConfig(first_share=1.0)) == 0
+    assert stage_at(0.99, 4, AnnealConfig(anneal_start=1.0)) == 0
 
 
 def test_a_second_weighs_the_same_however_long_an_action_is_held() -> None:
     assert discount(0.9, FIRST) == pytest.approx(0.9)  # eight steps of 0.5 s are 4 s
     for stage in stages(FIRST, AnnealConfig()):
-        decisions = 16 // stage.repeat  # of 8 s
+        decisions = 16 // stage.action_repeat  # of 8 s
         assert discount(0.9, stage) ** decisions == pytest.approx(0.9**2)
     slow = replace(FIRST, dt=1.0)
     assert discount(0.9, slow) == pytest.approx(0.9**2)

@@ -39,7 +39,9 @@ def driven(out: Path, worlds: int, steps: int, teacher_drives: bool = False) -> 
     """Return policy and examples after a lesson with its bags."""
     torch.manual_seed(1)
     policy = Policy(POLICY)
-    config = DaggerConfig(task=TASK, worlds=worlds, groups=1, every=1, visited=str(out))
+    config = DaggerConfig(
+        task=TASK, worlds=worlds, groups=1, example_interval=1, bag_folder=str(out)
+    )
     lesson = Lesson(config, policy, 0, torch.float32)
     examples = Examples(policy, 1000, torch.float32)
     lesson.run(steps, teacher_drives, examples)
@@ -90,22 +92,33 @@ def test_the_commands_are_those_that_moved_the_world(tmp_path: Path, teacher_dri
 def test_the_verbs_write_draw_and_learn_from_them(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    small = ['--policy.lidar.n-rays', '64', '--policy.network.hidden', '4', '--minibatch', '8']
+    small = ['--policy.lidar.n-rays', '64', '--policy.network.hidden', '4', '--batch-size', '8']
     small += ['--policy.network.filters-1', '2', '--policy.network.filters-2', '2']
     small += [
-        '--judge-episodes',
+        '--eval-episodes',
         '2',
-        '--judge-steps',
+        '--eval-steps',
         '2',
         '--sheep-min',
         '5',
         '--sheep-max',
         '5',
     ]
-    few = ['--rounds', '2', '--steps', '4', '--groups', '2', '--worlds', '1', '--batches', '2']
+    few = [
+        '--rounds',
+        '2',
+        '--steps-per-round',
+        '4',
+        '--groups',
+        '2',
+        '--worlds',
+        '1',
+        '--updates-per-round',
+        '2',
+    ]
     words = ['train', 'dagger', '--out', str(tmp_path / 'run'), *few, *small]
-    words += ['--episode-steps', '4', '--shown', '1', '--taught-groups', '0']
-    assert main([*words, '--visited', str(tmp_path / 'bags')]) == 0
+    words += ['--episode-steps', '4', '--teacher-rounds', '1', '--teacher-groups', '0']
+    assert main([*words, '--bag-folder', str(tmp_path / 'bags')]) == 0
     paths = sorted((tmp_path / 'bags').iterdir())
     assert len(paths) > 2
     assert all(main(['bag', 'check', str(path)]) == 0 for path in paths)
@@ -117,5 +130,7 @@ def test_the_verbs_write_draw_and_learn_from_them(
 
 def test_bags_that_are_there_are_not_written_over(tmp_path: Path) -> None:
     driven(tmp_path, 1, 2)
-    with pytest.raises(ConfigError, match=r'visited is .*: episode_0+ is there already; choose'):
+    with pytest.raises(
+        ConfigError, match=r'bag_folder is .*: episode_0+ is there already; choose'
+    ):
         driven(tmp_path, 1, 2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.train_ppo import PPORunConfig, Training
-from shepherd_ros.learning.validation import judge
+from shepherd_ros.learning.validation import validate
 from shepherd_ros.policy import fast_conv
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
@@ -24,7 +24,7 @@ def test_nothing_is_made_on_the_default_device(
     monkeypatch.setattr(fast_conv, 'AVAILABLE', False)
     policy = Policy(
         PolicyConfig(
-            repeat=2,
+            action_repeat=2,
             lidar=LidarConfig(n_rays=64),
             observation=ObservationConfig(spacing=4, align='goal'),
             network=NetworkConfig(filters_1=2, filters_2=2, hidden=4),
@@ -42,6 +42,6 @@ def test_nothing_is_made_on_the_default_device(
         while training.progress['stage'] == before:
             training.round()
         averaged = training.learner.averaged()
-        results = judge(averaged, task, 2, 3, torch.float32)
+        results = validate(averaged, task, 2, 3, torch.float32)
     assert results['score'] == results['score'], 'no NaN'
     assert all(p.device.type == 'cpu' for p in averaged.parameters())

@@ -27,8 +27,8 @@ NETWORK = PolicyConfig(
 )
 TINY = (
     '--policy.lidar.n-rays 64 --policy.network.filters-1 2 --policy.network.filters-2 2 '
-    '--policy.network.hidden 4 --groups 2 --worlds 2 --decisions 4 --minibatch 16 '
-    '--samples 400 --judge-every 3 --judge-episodes 2 --judge-steps 6 --sheep-min 3 '
+    '--policy.network.hidden 4 --groups 2 --worlds 2 --decisions 4 --minibatch-size 16 '
+    '--samples 400 --eval-freq 3 --eval-episodes 2 --eval-steps 6 --sheep-min 3 '
     '--sheep-max 5 --shepherds-max 2 --episode-steps 48'
 )
 
@@ -59,7 +59,13 @@ def updated() -> dict[str, Tensor]:
     batch = Batch(
         mine[:, None], torch.zeros_like(mine), action[mine], density[mine], value[mine], gain[mine]
     )
-    config = PPOConfig(epochs=3, minibatch=1000, actor_rate=1e-2, critic_rate=1e-2, target_kl=9.0)
+    config = PPOConfig(
+        update_epochs=3,
+        minibatch_size=1000,
+        actor_learning_rate=1e-2,
+        critic_learning_rate=1e-2,
+        target_kl=9.0,
+    )
     learner = Learner(policy, config)
     before = {k: v.clone() for k, v in policy.state_dict().items()}
     store: Any = Inputs(x)

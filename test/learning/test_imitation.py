@@ -163,7 +163,7 @@ def constant_fit(outlier: float, wanted: list[float]) -> tuple[float, list[float
     examples = Examples(policy, len(wanted), torch.float32)
     along = torch.tensor([[w, 0.0] for w in wanted])
     examples.add(torch.zeros(len(wanted), 3, 3, 512), torch.zeros(len(wanted)).long(), along)
-    cloner = Cloner(policy, CloneConfig(outlier=outlier), 0)
+    cloner = Cloner(policy, CloneConfig(huber_delta=outlier), 0)
     losses = []
     for k in range(11):
         policy.actor.head.bias.data[0] = k / 10
@@ -189,7 +189,7 @@ def test_the_mean_of_the_weights_by_hand() -> None:
     policy = policy_of()
     examples = Examples(policy, 8, torch.float32)
     examples.add(torch.rand(8, 3, 3, 512), torch.zeros(8).long(), torch.rand(8, 2))
-    cloner = Cloner(policy, CloneConfig(minibatch=8, average=0.15), 0)
+    cloner = Cloner(policy, CloneConfig(batch_size=8, ema_decay=0.15), 0)
     seen = []
     for _ in range(3):
         cloner.take_step(examples)
@@ -205,7 +205,11 @@ def test_the_mean_of_the_weights_by_hand() -> None:
 def test_a_cloned_policy_learns_one_episode_by_heart(bags: Path) -> None:
     policy = policy_of()
     examples = Examples(policy, 100, torch.float32)
-    cloner = Cloner(policy, CloneConfig(rate=3e-3, minibatch=24, batches=150, newest=24), 0)
+    cloner = Cloner(
+        policy,
+        CloneConfig(learning_rate=3e-3, batch_size=24, updates_per_round=150, recent_examples=24),
+        0,
+    )
     for row in stream_examples([bags / 'episode_000005'], policy, Report()):
         examples.add(*row)
     spread = float(examples.wanted[: len(examples)].var(dim=0).sum())
@@ -218,7 +222,7 @@ def test_a_cloned_policy_learns_one_episode_by_heart(bags: Path) -> None:
 def test_a_lesson_keeps_what_the_teacher_would_do_where_the_learner_is() -> None:
     policy = policy_of()
     task = TaskConfig(sheep_min=5, sheep_max=5, shepherds_max=2, episode_steps=50, noise_max=0.4)
-    config = DaggerConfig(task=task, worlds=3, groups=1, every=1)
+    config = DaggerConfig(task=task, worlds=3, groups=1, example_interval=1)
     lesson = Lesson(config, policy, 0, torch.float32)
     examples = Examples(policy, 100, torch.float32)
     start = lesson.group.moment.state
@@ -248,8 +252,8 @@ def test_near_the_goal_a_reynolds_flock_can_have_a_teacher_of_its_own() -> None:
     policy, laws = policy_of(), ('idle', 'drover')
     task = TaskConfig(flock='reynolds', sheep_min=5, sheep_max=5, shepherds_max=2)
     config = DaggerConfig(
-        task=task, worlds=2, groups=1, every=1,
-        reynolds_teacher='drover', reynolds_home_teacher='idle', near=8.0,
+        task=task, worlds=2, groups=1, example_interval=1,
+        reynolds_teacher='drover', reynolds_home_teacher='idle', home_distance=8.0,
     )  # fmt: skip
     lesson = Lesson(config, policy, 0, torch.float32)
     start, examples = lesson.group.moment.state, Examples(policy, 100, torch.float32)

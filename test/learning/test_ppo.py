@@ -96,19 +96,21 @@ def test_ppo_learns_to_go_to_the_goal() -> None:
     torch.manual_seed(1)
     policy = Policy(
         PolicyConfig(
-            repeat=4,
+            action_repeat=4,
             lidar=LidarConfig(n_rays=96),
             observation=ObservationConfig(n_frames=1, spacing=4, unit=10.0, align='goal'),
             network=NetworkConfig(filters_1=8, filters_2=8, hidden=32),
         )
     )
     task = TaskConfig(sheep_min=1, sheep_max=1, shepherds_min=2, shepherds_max=2, episode_steps=96)
-    config = PPOConfig(gamma=0.9, minibatch=256, actor_rate=1e-3, critic_rate=1e-3)
+    config = PPOConfig(
+        gamma=0.9, minibatch_size=256, actor_learning_rate=1e-3, critic_learning_rate=1e-3
+    )
     rollout = Rollout(task, policy, 1, 16, 24, 0, torch.float32, nearness)
     learner, generator = Learner(policy, config), torch.Generator().manual_seed(2)
     rewards = []
     for _ in range(25):
-        batch, seen = rollout.collect(config.gamma, config.decay, 0.25)
+        batch, seen = rollout.collect(config.gamma, config.gae_lambda, 0.25)
         learner.update(rollout.store, batch, generator)
         rollout.roll()
         rewards.append(seen['reward'])
@@ -126,7 +128,7 @@ def test_the_kept_policy_is_the_running_mean_of_the_weights() -> None:
             network=NetworkConfig(filters_1=2, filters_2=2, hidden=4),
         )
     )
-    learner = Learner(policy, PPOConfig(average=0.75))
+    learner = Learner(policy, PPOConfig(ema_decay=0.75))
     bias = policy.actor.head.bias
     expected = torch.zeros(4)
     for k in range(3):

@@ -19,15 +19,15 @@ from shepherd_ros.sim.observation import ObservationConfig
 import torch
 
 POLICY = PolicyConfig(
-    repeat=2,
+    action_repeat=2,
     lidar=LidarConfig(n_rays=64),
     observation=ObservationConfig(spacing=4, align='goal', unit=10.0),
     network=NetworkConfig(filters_1=2, filters_2=2, hidden=8),
 )
 CONFIG = PPORunConfig(
-    samples=300, groups=2, worlds=2, decisions=6, judge_every=2, judge_episodes=2, judge_steps=6,
+    samples=300, groups=2, worlds=2, decisions=6, eval_freq=2, eval_episodes=2, eval_steps=6,
     task=TaskConfig(sheep_min=4, sheep_max=8, shepherds_max=3, episode_steps=20),
-    ppo=PPOConfig(minibatch=16),
+    ppo=PPOConfig(minibatch_size=16),
 )  # fmt: skip
 TIMES = ('seconds', 'seconds_left', 'samples_per_second', 'rollout_share')
 

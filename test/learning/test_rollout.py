@@ -30,7 +30,7 @@ def policy_of(repeat: int = 2, spacing: int = 4, **observation: object) -> Polic
     torch.manual_seed(7)
     return Policy(
         PolicyConfig(
-            repeat=repeat,
+            action_repeat=repeat,
             lidar=LidarConfig(n_rays=64),
             observation=ObservationConfig(spacing=spacing, unit=10.0, **observation),  # type: ignore[arg-type]
             network=NetworkConfig(filters_1=2, filters_2=2, hidden=8),
@@ -131,7 +131,10 @@ def test_frames_do_not_reach_over_the_start_of_an_episode() -> None:
 
 def numbers(policy: Policy, rollout: Rollout, updates: int) -> list[Tensor]:
     """Train on; return what came of it."""
-    learner, generator = Learner(policy, PPOConfig(minibatch=64)), torch.Generator().manual_seed(1)
+    learner, generator = (
+        Learner(policy, PPOConfig(minibatch_size=64)),
+        torch.Generator().manual_seed(1),
+    )
     for _ in range(updates):
         batch, _ = rollout.collect(0.9, 0.9, 1.0)
         learner.update(rollout.store, batch, generator)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 from shepherd_ros.learning.task import TaskConfig
-from shepherd_ros.learning.validation import judge, judged_sizes
+from shepherd_ros.learning.validation import validate, validation_sizes
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.lidar import LidarConfig
@@ -18,9 +18,9 @@ def test_a_judgement_over_both_flocks_and_three_sizes_is_the_mean_of_the_six() -
     network = NetworkConfig(filters_1=2, filters_2=2, hidden=4)
     policy = Policy(PolicyConfig(lidar=LidarConfig(n_rays=64), network=network))
     task = TaskConfig(flock='both', sheep_min=4, sheep_max=25, sheep_scale='log')
-    whole = judge(policy, task, 12, 5, torch.float32)
+    whole = validate(policy, task, 12, 5, torch.float32)
     parts = [
-        judge(
+        validate(
             policy,
             replace(task, flock=flock, sheep_scale='linear', sheep_min=n, sheep_max=n),
             2, 5, torch.float32,
@@ -45,4 +45,4 @@ def test_a_judgement_over_both_flocks_and_three_sizes_is_the_mean_of_the_six() -
 def test_sizes_of_flocks_that_are_judged(
     low: int, high: int, scale: str, sizes: list[int]
 ) -> None:
-    assert judged_sizes(TaskConfig(sheep_min=low, sheep_max=high, sheep_scale=scale)) == sizes
+    assert validation_sizes(TaskConfig(sheep_min=low, sheep_max=high, sheep_scale=scale)) == sizes

@@ -24,7 +24,7 @@ import torch
 
 STEPS = 50
 CONFIG = PolicyConfig(
-    repeat=2,
+    action_repeat=2,
     observation=ObservationConfig(spacing=4, align='goal', unit=10.0),
     network=NetworkConfig(filters_1=8, filters_2=8, hidden=32),
 )

@@ -104,7 +104,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run(
         SHEPHERD, 'train', 'ppo', '--quick', '--out', out, '--path', '0.5', '--samples', '150',
         '--policy.lidar.others', 'posts', '--groups', '1', '--worlds', '4', '--decisions', '4',
-        '--judge-episodes', '2', '--judge-steps', '20',
+        '--eval-episodes', '2', '--eval-steps', '20',
     )  # fmt: skip
     return out
 
@@ -120,8 +120,8 @@ def test_in_training(trained: Path) -> None:
         assert list(terms) == ['reward/occupancy', 'reward/shaping', 'reward/path']
         assert sum(terms.values()) == pytest.approx(line['reward'], abs=1e-7)
         assert terms['reward/path'] < 0
-    assert 0 <= lines[-1]['judge/fraction_near'] <= 1
-    assert 'judge/most_near' not in lines[-1]
+    assert 0 <= lines[-1]['eval/fraction_near'] <= 1
+    assert 'eval/most_near' not in lines[-1]
     about = json.loads((trained / 'run.json').read_text())['config']['run']['task']['reward']
     assert about['path'] == 0.5
     said = run(SHEPHERD, 'checkpoint', 'info', trained / 'best.safetensors')
@@ -203,7 +203,7 @@ def test_learning_from_bags_needs_the_channels_of_the_policy(
     recorded: Path, tmp_path: Path
 ) -> None:
     words = (SHEPHERD, 'train', 'bc', recorded, '--quick', '--epochs', '1')
-    few = ('--judge-episodes', '2', '--judge-steps', '10')
+    few = ('--eval-episodes', '2', '--eval-steps', '10')
     said = run(*words, *few, '--out', tmp_path / 'three', code=2)
     assert "scans have a channel 'posts', expected sheep, shepherds, goal" in said
     posts = ('--policy.lidar.others', 'posts')

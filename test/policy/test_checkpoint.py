@@ -24,7 +24,7 @@ from shepherd_ros.sim.observation import ObservationConfig
 import torch
 
 SMALL = PolicyConfig(
-    repeat=2,
+    action_repeat=2,
     lidar=LidarConfig(n_rays=64),
     observation=ObservationConfig(spacing=4, unit=12.5, align='goal'),
     network=NetworkConfig(filters_1=2, filters_2=3, hidden=4),
@@ -136,8 +136,8 @@ def test_shipped_checkpoints_say_how_they_were_made() -> None:
     'record',
     [
         {},
-        {'command': '\x1b[2J', 'note': '`|`', 'judged': 3, 'progress': [], 'config': 'x'},
-        {'judged': {'return': 'x'}, 'progress': {'samples': 'y'}, 'config': {'run': 7}},
+        {'command': '\x1b[2J', 'note': '`|`', 'eval': 3, 'progress': [], 'config': 'x'},
+        {'eval': {'return': 'x'}, 'progress': {'samples': 'y'}, 'config': {'run': 7}},
     ],
 )
 def test_a_card_of_an_odd_record_is_still_one(

@@ -74,7 +74,7 @@ def test_with_the_goal_in_front_a_turned_world_gets_turned_actions() -> None:
 
 
 def test_actions_are_held_and_frames_are_apart_as_told() -> None:
-    policy = policy_of(repeat=2, observation=ObservationConfig(n_frames=3, spacing=4))
+    policy = policy_of(action_repeat=2, observation=ObservationConfig(n_frames=3, spacing=4))
     readings = [torch.full((1, 3, 512), float(t + 1)) for t in range(14)]
     memory = inference.begin(policy, (), 1)
     present = torch.tensor([True])

@@ -32,7 +32,7 @@ def test_the_networks_have_the_size_that_the_paper_draws() -> None:
     body = 32 * 3 * 10 + 32 + 64 * 32 * 10 + 64 + 3776 * 512 + 512
     assert parameters(Critic(PAPER, NetworkConfig())) == body + 513 == 1_955_873
     assert parameters(Actor(PAPER, NetworkConfig())) == body + 4 * 513
-    assert parameters(Actor(PAPER, NetworkConfig(spread='free'))) == body + 2 * 513 + 2
+    assert parameters(Actor(PAPER, NetworkConfig(std_type='free'))) == body + 2 * 513 + 2
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_a_ring_has_no_first_ray() -> None:
 def test_every_layout_and_spread_gives_finite_actions(layout: str, spread: str) -> None:
     config = PolicyConfig(
         observation=ObservationConfig(layout=layout, align='goal'),
-        network=NetworkConfig(spread=spread, first_std=0.4),
+        network=NetworkConfig(std_type=spread, init_std=0.4),
     )
     torch.manual_seed(0)
     policy = Policy(config)
@@ -132,8 +132,8 @@ def test_every_layout_and_spread_gives_finite_actions(layout: str, spread: str) 
 
 
 def test_sizes_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(ConfigError, match='spacing is 3: expected a multiple of repeat, 2'):
-        PolicyConfig(repeat=2, observation=ObservationConfig(spacing=3))
+    with pytest.raises(ConfigError, match='spacing is 3: expected a multiple of action_repeat, 2'):
+        PolicyConfig(action_repeat=2, observation=ObservationConfig(spacing=3))
     with pytest.raises(ConfigError, match="layout is 'types': expected ring"):
         PolicyConfig(network=NetworkConfig(padding='circular'))
     with pytest.raises(ConfigError, match='expected 79 or more'):
