@@ -10,6 +10,8 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
+from shepherd_ros.learning.dagger import DaggerConfig
+from shepherd_ros.learning.train_ppo import PPORunConfig
 from shepherd_ros.policy.checkpoint import (
     checkpoint_file,
     load_policy,
@@ -130,6 +132,18 @@ def test_shipped_checkpoints_say_how_they_were_made() -> None:
         record = read_metadata(checkpoint_file(name))[1]
         for key in ('command', 'seed', 'wall_time_s', 'code'):
             assert key in record
+        run = DaggerConfig if 'dagger' in record['command'] else PPORunConfig
+        run.from_dict(record['config']['run'])  # every option by the name that it has now
+        PolicyConfig.from_dict(record['config']['policy'])
+
+
+def test_an_option_by_its_name_of_before_is_refused_with_that_of_now(
+    checkpoint: Path, tmp_path: Path
+) -> None:
+    config = json.dumps({'dt': 0.5, 'repeat': 8})
+    path = changed(checkpoint, tmp_path / 'old.safetensors', config=config)
+    with pytest.raises(ConfigError, match="'repeat': .*did you mean 'action_repeat'"):
+        load_policy(str(path))
 
 
 @pytest.mark.parametrize(
