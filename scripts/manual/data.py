@@ -42,7 +42,7 @@ RECORD = {
     'torch': 'version of torch',
     'config': 'the whole configuration: policy, run, checkpoint that it started from',
     'progress': 'updates, samples and seconds at which it was kept',
-    'judged': 'what validation measured: metrics and return',
+    'eval': 'what validation measured: metrics and return',
     'note': 'a remark, written by hand',
     'teacher': 'the controller that was imitated',
 }
@@ -67,7 +67,7 @@ my_bag/
 ```
 
 Topics, types and units are those of [](topics.md).
-A bag of `shepherd train dagger --visited` also has `teacher/shepherd_<h>/cmd_vel`.
+A bag of `shepherd train dagger --bag-folder` also has `teacher/shepherd_<h>/cmd_vel`.
 """
     keys = [[code(getattr(writer, name)), text] for name, text in KEYS.items()]
     exported = [f'### {name}\n\n{_columns(schema)}' for name, schema in SCHEMAS.items()]

@@ -142,7 +142,7 @@ def test_an_option_by_its_name_of_before_is_refused_with_that_of_now(
 ) -> None:
     config = json.dumps({'dt': 0.5, 'repeat': 8})
     path = changed(checkpoint, tmp_path / 'old.safetensors', config=config)
-    with pytest.raises(ConfigError, match="'repeat': .*did you mean 'action_repeat'"):
+    with pytest.raises(ConfigError, match=r"'repeat': .*did you mean 'action_repeat'"):
         load_policy(str(path))
 
 
