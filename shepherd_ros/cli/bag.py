@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from shepherd_ros.recordings.episodes import RecordedEpisode
 
 Bags = tyro.conf.Positional[Path]
-DIFFERENT = 1  # exit code of check and diff when something was found
+DIFFERENT = 1  # exit code of check, diff and recover when something was found
 
 
 @dataclass
@@ -62,7 +62,7 @@ class Check:
 
 @dataclass
 class Recover:
-    """Rewrite what can be read of a damaged bag into a new folder."""
+    """Rewrite what can be read of a damaged bag; exit code 1 if something of it is not kept."""
 
     bag: Bags
     """Folder of a bag, or one .mcap file; it is not touched."""
@@ -75,8 +75,9 @@ class Recover:
         """Recover and print what was kept and lost."""
         from shepherd_ros.recordings.writer import recover_recording
 
-        print(recover_recording(self.bag, self.output, compression=self.compression).text())
-        return 0
+        result = recover_recording(self.bag, self.output, compression=self.compression)
+        print(result.text())
+        return 0 if result.whole else DIFFERENT
 
 
 @dataclass

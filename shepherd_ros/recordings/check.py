@@ -62,7 +62,7 @@ def _identity(bag: Bag) -> Iterator[Finding]:
         if topic.type not in ours.types:
             expected = ' or '.join(ours.types)
             yield Finding('type', f'{topic.type!r}, expected {expected}', topic=topic.name)
-        elif bag.schemas[topic.type] != ('ros2msg', known_text(topic.type)):
+        elif bag.definitions[topic.name] != {(topic.type, 'ros2msg', known_text(topic.type))}:
             yield Finding('schema', f'the text of {topic.type} is not ours', topic=topic.name)
     yield from _contract(bag)
     yield from _lost(bag.custom_data.get(LOST_KEY, '{}'))

@@ -71,12 +71,20 @@ class RecordingWriter(BagWriter):
         *,
         schema: tuple[str, bytes] | None = None,
         hash_text: str | None = None,
+        serialization: str = 'cdr',
     ) -> None:
         """Announce a topic; schema and hash_text are those of the contract by default."""
         if schema is None:
             schema = 'ros2msg', known_text(type_name)
             hash_text = type_hash(type_name) if hash_text is None else hash_text
-        super().add_topic(name, type_name, qos, schema=schema, hash_text=hash_text or '')
+        super().add_topic(
+            name,
+            type_name,
+            qos,
+            schema=schema,
+            hash_text=hash_text or '',
+            serialization=serialization,
+        )
 
     def write(self, topic: str, cdr: bytes, log_ns: int, publish_ns: int) -> None:
         """Write a message: when it was received and when it was sent [ns]; raises BagError."""

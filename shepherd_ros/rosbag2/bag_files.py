@@ -45,14 +45,19 @@ class BagFiles:
     """
 
     def __init__(
-        self, folder: Path, compression: str, chunk_size: int, custom_data: dict[str, str]
+        self,
+        folder: Path,
+        compression: str,
+        chunk_size: int,
+        custom_data: dict[str, str],
+        distro: str,
     ) -> None:
         """Create the folder and the first file in it; custom_data may change until the end."""
         self.folder, self.compression, self.chunk_size = folder, compression, chunk_size
-        self.custom_data = custom_data
+        self.custom_data, self.distro = custom_data, distro
         self.topics: dict[str, TopicInfo] = {}
         self.first_ns: int | None = None  # log time in the file being written
-        self._schemas: dict[str, tuple[str, bytes]] = {}  # by topic
+        self.schemas: dict[str, tuple[str, bytes]] = {}  # by topic
         self._channels: dict[str, int] = {}  # by topic, in the file being written
         self._done: list[FileInfo] = []
         self._counts: Counter[str] = Counter()  # in finished files
@@ -85,7 +90,7 @@ class BagFiles:
 
     def add_topic(self, topic: TopicInfo, encoding: str, text: bytes) -> None:
         """Announce a topic with the schema of its type."""
-        self.topics[topic.name], self._schemas[topic.name] = topic, (encoding, text)
+        self.topics[topic.name], self.schemas[topic.name] = topic, (encoding, text)
         self._register(topic.name)
 
     def add_message(self, topic: str, log_ns: int, publish_ns: int, data: bytes) -> None:
@@ -118,7 +123,7 @@ class BagFiles:
             files.append(_file_info(self._file))
             counts.update(_by_topic(self._file))
         topics = tuple(replace(t, count=counts[t.name]) for t in self.topics.values())
-        return Metadata(topics, tuple(files), dict(self.custom_data))
+        return Metadata(topics, tuple(files), dict(self.custom_data), distro=self.distro)
 
     def _begin(self) -> None:
         name = self.folder.resolve().name.lstrip('.')  # hidden while it is being written
@@ -132,7 +137,7 @@ class BagFiles:
 
     def _register(self, name: str) -> None:
         topic = self.topics[name]
-        schema = self.file.add_schema(topic.type, *self._schemas[name])
+        schema = self.file.add_schema(topic.type, *self.schemas[name]) if topic.type else 0
         values = {'offered_qos_profiles': qos_yaml(topic.qos), 'topic_type_hash': topic.type_hash}
         self._channels[name] = self.file.add_channel(name, topic.serialization, schema, values)
 

@@ -121,7 +121,9 @@ class Decoder:
         """Return whether messages of a type can be decoded."""
         if type_name not in self.usable:
             encoding, text = self.bag.schemas.get(type_name, ('', b''))
-            self.usable[type_name] = encoding == 'ros2msg'
+            texts = {row for rows in self.bag.definitions.values() for row in rows}
+            one = sum(name == type_name for name, _, _ in texts) == 1
+            self.usable[type_name] = one and encoding == 'ros2msg'
             if self.usable[type_name]:
                 try:
                     types = get_types_from_msg(text.decode(), type_name)

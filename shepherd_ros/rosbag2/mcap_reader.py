@@ -1,8 +1,9 @@
-"""One MCAP file that is being read: what its end says of it, and its chunks one at a time."""
+"""MCAP files that are being read: one walk over records, and what the end says of a whole file."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 import struct
@@ -12,22 +13,21 @@ import zlib
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, MetadataIndex, Schema, Statistics
 from mcap.records import Metadata as MetadataRecord
-from shepherd_ros.rosbag2.errors import BagError, DamageError, unreadable
+from shepherd_ros.rosbag2.errors import BagError, DamageError, RECOVER, unreadable
 from shepherd_ros.rosbag2.metadata import Metadata
 from shepherd_ros.rosbag2.records import (
     check_magic,
     contents,
+    DEFINITIONS,
     FOOTER_SIZE,
     MAGIC,
     Message,
     parse,
     PREFIX,
     read_at,
-    read_chunk,
     read_record,
     Record,
     record_at,
-    take_messages,
     unpack,
     walk,
 )
@@ -47,30 +47,90 @@ class ChunkRef(NamedTuple):
     packed: bool  # a chunk
 
 
-class Storage:
+class Definitions:
+    """What one MCAP file defines, filled while its records are walked over."""
+
+    def __init__(self, path: Path) -> None:
+        """Start with nothing defined."""
+        self.path = path
+        self.size = 0  # [bytes]
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.compressions: set[str] = set()
+        self.text = ''  # of the last record named rosbag2
+
+    def define(self, item: Any) -> None:
+        """Take a schema, a channel or a metadata record; the first of a number counts."""
+        if isinstance(item, Schema):
+            self.schemas.setdefault(item.id, item)
+        elif isinstance(item, Channel):
+            self.channels.setdefault(item.id, item)
+        elif isinstance(item, MetadataRecord) and item.name == 'rosbag2':
+            self.text = item.metadata.get('serialized_metadata') or self.text
+
+    def take(self, file: BinaryIO, record: Record) -> list[Message]:
+        """Take the definitions in a record, return its messages; raises DamageError."""
+        if record.opcode == Opcode.CHUNK:
+            chunk = read_record(file, record)
+            self.compressions.add(chunk.compression)
+            data = unpack(chunk, record.offset)
+        elif record.opcode == Opcode.MESSAGE or record.opcode in DEFINITIONS:
+            data = read_at(file, record.offset, record.end - record.offset)
+        else:
+            return []
+        return self.messages_in(contents(data, record.offset))
+
+    def messages_in(self, items: Iterator[Any]) -> list[Message]:
+        """Return the messages among the contents of a chunk, and define the others in turn."""
+        messages = []
+        for item in items:
+            if isinstance(item, Message):
+                messages.append(item)
+            else:
+                self.define(item)
+        return messages
+
+    def walk(self, file: BinaryIO, end: int) -> Iterator[tuple[Record, list[Message]]]:
+        """Yield the records in front of end and of the end of the data, each with its messages."""
+        offset = len(MAGIC)
+        while offset < end:
+            try:
+                record = record_at(file, offset, end)
+                if record.opcode == Opcode.DATA_END and record.length >= 4:
+                    return
+                messages = self.take(file, record)
+            except DamageError as error:
+                record, messages = self.damaged(file, offset, error)
+            yield record, messages
+            offset = record.end
+
+    def damaged(
+        self, file: BinaryIO, offset: int, error: DamageError
+    ) -> tuple[Record, list[Message]]:
+        """Return what stands for the damage at an offset, and its messages; or raise the error."""
+        raise error
+
+
+class Storage(Definitions):
     """
     The topics, counts and chunks of one MCAP file.
 
     The file is open only while something is read, and at most one chunk is in memory.
     """
 
-    def __init__(self, path: Path) -> None:
-        """Read the summary at the end of the file, or all of it if it has none."""
-        self.path = path
-        self.size = 0  # [bytes]
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
+    def __init__(self, path: Path, bag: Path | None = None) -> None:
+        """Read the summary at the end of the file, or all of it if something is not in it."""
+        super().__init__(path)
+        self.fix = RECOVER.replace('{path}', str(bag or path))
         self.counts: Counter[int] = Counter()  # messages by channel
         self.start_ns = self.end_ns = 0
         self.chunks: list[ChunkRef] = []
-        self.compressions: set[str] = set()
-        self._text = ''  # of the last record named rosbag2
         self._notes: list[MetadataIndex] = []
         try:
             with path.open('rb') as file:
                 self._open(file)
         except DamageError as error:
-            raise BagError(path, str(error)) from error
+            raise BagError(path, str(error), self.fix) from error
         except OSError as error:
             raise unreadable(path, error) from error
 
@@ -82,7 +142,7 @@ class Storage:
     @cached_property
     def metadata(self) -> Metadata | None:
         """Return what the file says of the bag, None if nothing; raises BagError."""
-        return Metadata.from_yaml(self._text, self.path) if self._text else None
+        return Metadata.from_yaml(self.text, self.path) if self.text else None
 
     def read(self, chunk: ChunkRef) -> list[Message]:
         """Return the messages of a chunk in the order of their log times; raises BagError."""
@@ -96,7 +156,7 @@ class Storage:
                 if message.channel not in self.channels:
                     raise DamageError(chunk.offset, f'unknown channel {message.channel}')
         except DamageError as error:
-            raise BagError(self.path, str(error)) from error
+            raise BagError(self.path, str(error), self.fix) from error
         except OSError as error:
             raise unreadable(self.path, error) from error
         messages.sort(key=lambda message: message.log_ns)
@@ -108,7 +168,7 @@ class Storage:
         record = record_at(file, chunk.offset, self.size)
         if record.opcode != Opcode.CHUNK or record.end - record.offset != chunk.length:
             raise DamageError(chunk.offset, 'the index names a chunk that is not there')
-        return unpack(read_chunk(file, record), record.offset)
+        return unpack(read_record(file, record), record.offset)
 
     # ---- opening ----
 
@@ -116,29 +176,32 @@ class Storage:
         self.size = check_magic(file, self.path)
         footer, summary_start, crc = self._footer(file)
         told = bool(summary_start) and self._read_summary(file, summary_start, footer, crc)
-        if not told or (self.count and not self.chunks) or not self.channels:
+        if not told or (self.count and not self.chunks) or not self.channels or self._untyped():
             self._scan(file, summary_start or footer)
-        self._check()
+        used = {channel for channel, count in self.counts.items() if count}
+        unknown = used - (self.channels.keys() - self._untyped())
+        if unknown:
+            raise DamageError(0, f'messages of unknown channels {sorted(unknown)[:5]}')
         if self._notes:
             note = max(self._notes, key=lambda index: index.offset)
-            self._read_note(file, record_at(file, note.offset, self.size))
+            self.take(file, record_at(file, note.offset, self.size))
 
     def _footer(self, file: BinaryIO) -> tuple[int, int, int]:
         """Return where the footer begins, where the summary does (0: none), and its CRC."""
         start = self.size - FOOTER_SIZE
         if start < len(MAGIC):
-            raise BagError(self.path, CUT_OFF)
+            raise BagError(self.path, CUT_OFF, self.fix)
         data = read_at(file, start, FOOTER_SIZE)
         if data[-len(MAGIC) :] != MAGIC or PREFIX.unpack_from(data) != (Opcode.FOOTER, 20):
-            raise BagError(self.path, CUT_OFF)
+            raise BagError(self.path, CUT_OFF, self.fix)
         summary_start, offsets_start, crc = struct.unpack_from('<QQI', data, PREFIX.size)
         if summary_start and not len(MAGIC) <= summary_start <= (offsets_start or start) <= start:
             raise DamageError(start, f'a summary at {summary_start}')
         return start, summary_start, crc
 
     def _read_summary(self, file: BinaryIO, start: int, end: int, crc: int) -> bool:
-        """Take what the summary says; return whether it says how many messages there are."""
-        counted = False
+        """Take what the summary says; return whether it counts messages and has all chunks."""
+        chunk_count = -1
         # the checksum includes the footer up to itself
         data = read_at(file, start, end - start + PREFIX.size + 16)
         if crc and zlib.crc32(data) != crc:
@@ -147,7 +210,7 @@ class Storage:
             begin = record.body - start
             item = parse(record.opcode, data[begin : begin + record.length], record.offset)
             if isinstance(item, Statistics):
-                counted = True
+                chunk_count = item.chunk_count
                 self.counts.update(item.channel_message_counts)
                 self.start_ns, self.end_ns = item.message_start_time, item.message_end_time
             elif isinstance(item, ChunkIndex):
@@ -155,14 +218,8 @@ class Storage:
             elif isinstance(item, MetadataIndex) and item.name == 'rosbag2':
                 self._notes.append(item)
             else:
-                self._define(item)
-        return counted
-
-    def _define(self, item: Any) -> None:
-        if isinstance(item, Schema):
-            self.schemas[item.id] = item
-        elif isinstance(item, Channel):
-            self.channels[item.id] = item
+                self.define(item)
+        return chunk_count == len(self.chunks)
 
     def _add_index(self, index: ChunkIndex) -> None:
         self.compressions.add(index.compression)
@@ -175,68 +232,40 @@ class Storage:
         place = index.chunk_start_offset, index.chunk_length
         self.chunks.append(ChunkRef(*times, *place, channels, packed=True))
 
-    def _read_note(self, file: BinaryIO, record: Record) -> None:
-        """Take a metadata record of rosbag2."""
-        item = read_record(file, record)
-        if isinstance(item, MetadataRecord) and item.metadata.get('serialized_metadata'):
-            self._text = item.metadata['serialized_metadata']
-
-    def _check(self) -> None:
-        for channel in self.channels.values():
-            if channel.schema_id and channel.schema_id not in self.schemas:
-                raise DamageError(0, f'{channel.topic!r} has no schema')
-        unknown = self.counts.keys() - self.channels.keys()
-        if unknown:
-            raise DamageError(0, f'messages of unknown channels {sorted(unknown)[:5]}')
-
-    # ---- files without an index ----
+    def _untyped(self) -> set[int]:
+        """Return the channels whose schema is not there."""
+        return {
+            channel.id
+            for channel in self.channels.values()
+            if channel.schema_id and channel.schema_id not in self.schemas
+        }
 
     def _scan(self, file: BinaryIO, end: int) -> None:
         """Read the whole file to find out what the summary does not say."""
         self.chunks, self.counts = [], Counter()
-        run: list[tuple[Record, Message]] = []
-        for record in walk(file, len(MAGIC), end):
-            if record.opcode == Opcode.DATA_END:
-                break
-            if record.opcode == Opcode.MESSAGE:
-                raw = read_at(file, record.offset, record.end - record.offset)
-                run += [
-                    (record, item)
-                    for item in contents(raw, record.offset)
-                    if isinstance(item, Message)
-                ]
-                if record.end - run[0][0].offset > RUN:
-                    self._end_run(run)
+        for record, messages in self.walk(file, end):
+            if not messages:
                 continue
-            self._end_run(run)
-            if record.opcode == Opcode.CHUNK:
-                self._scan_chunk(file, record)
-            elif record.opcode == Opcode.METADATA:
-                self._read_note(file, record)
-            elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._define(read_record(file, record))
-        self._end_run(run)
+            tally = Counter(message.channel for message in messages)
+            self.counts.update(tally)
+            times = [message.log_ns for message in messages]
+            packed = record.opcode == Opcode.CHUNK
+            found = ChunkRef(
+                min(times), max(times), record.offset, record.end - record.offset,
+                frozenset(tally), packed,
+            )  # fmt: skip
+            last = self.chunks[-1] if self.chunks else found
+            if packed or last is found or last.packed or record.end - last.offset > RUN:
+                self.chunks.append(found)
+            else:
+                self.chunks[-1] = _joined(last, found)
         self.start_ns = min((ref.start_ns for ref in self.chunks), default=0)
         self.end_ns = max((ref.end_ns for ref in self.chunks), default=0)
 
-    def _end_run(self, run: list[tuple[Record, Message]]) -> None:
-        if run:
-            place = run[0][0].offset, run[-1][0].end - run[0][0].offset
-            self._add_chunk([message for _, message in run], *place, packed=False)
-            run.clear()
 
-    def _scan_chunk(self, file: BinaryIO, record: Record) -> None:
-        chunk = read_chunk(file, record)
-        self.compressions.add(chunk.compression)
-        items = contents(unpack(chunk, record.offset), record.offset)
-        messages = take_messages(items, self._define)
-        place = record.offset, record.end - record.offset
-        self._add_chunk(messages, *place, packed=True)
-
-    def _add_chunk(self, messages: list[Message], offset: int, length: int, packed: bool) -> None:
-        if messages:
-            times = [message.log_ns for message in messages]
-            tally = Counter(message.channel for message in messages)
-            self.counts.update(tally)
-            channels = frozenset(tally)
-            self.chunks.append(ChunkRef(min(times), max(times), offset, length, channels, packed))
+def _joined(run: ChunkRef, found: ChunkRef) -> ChunkRef:
+    """Return a run of messages with one more behind it."""
+    times = min(run.start_ns, found.start_ns), max(run.end_ns, found.end_ns)
+    length = found.offset + found.length - run.offset
+    channels = (run.channels or frozenset()) | (found.channels or frozenset())
+    return ChunkRef(*times, run.offset, length, channels, packed=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from functools import cached_property
@@ -33,10 +34,12 @@ class Bag:
     def __init__(self, path: Path, files: list[Path], metadata: Metadata | None) -> None:
         """Read what the ends of all files say."""
         self.path = path
-        self.storages = [Storage(file) for file in files]
+        self.storages = [_storage(file, path, len(files)) for file in files]
         self._metadata = metadata
         self.topics: dict[str, TopicInfo] = {}  # in the order of their names
         self.schemas: dict[str, tuple[str, bytes]] = {}  # encoding and text of a type
+        # type, encoding and text of the channels of each topic: one, if all is well
+        self.definitions: defaultdict[str, set[tuple[str, str, bytes]]] = defaultdict(set)
         for storage in self.storages:
             self._add_topics(storage)
         self.topics = dict(sorted(self.topics.items()))
@@ -125,6 +128,9 @@ class Bag:
         for schema in storage.schemas.values():
             self.schemas.setdefault(schema.name, (schema.encoding, schema.data))
         for channel in storage.channels.values():
+            kind = storage.schemas.get(channel.schema_id)
+            text = (kind.name, kind.encoding, kind.data) if kind else ('', '', b'')
+            self.definitions[channel.topic].add(text)
             count = storage.counts[channel.id]
             before = self.topics.get(channel.topic)
             if before is not None:
@@ -140,8 +146,22 @@ class Bag:
             )
 
 
+def _storage(file: Path, bag: Path, files: int) -> Storage:
+    """Return a file of a bag; raises BagError, with what helps for the whole bag."""
+    try:
+        return Storage(file, bag)
+    except BagError as error:
+        if files > 1 and 'shepherd bag recover' not in str(error):
+            raise BagError(error.path, error.what, _others(bag)) from error
+        raise
+
+
+def _others(bag: Path) -> str:
+    return f'put it back, or run `shepherd bag recover {bag}` to keep the other files'
+
+
 def _type(storage: Storage, schema: int) -> str:
-    return storage.schemas[schema].name if schema else ''
+    return storage.schemas[schema].name if schema in storage.schemas else ''
 
 
 def open_bag(path: Path | str) -> Bag:
@@ -179,7 +199,7 @@ def _folder(folder: Path) -> tuple[list[Path], Metadata | None]:
         raise BagError(note, 'it names no file')
     for file in files:
         if not file.is_file():
-            raise BagError(file, f'it is not there, but {FILE} names it')
+            raise BagError(file, f'it is not there, but {FILE} names it', _others(folder))
     return files, metadata
 
 

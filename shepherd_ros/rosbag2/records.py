@@ -21,6 +21,7 @@ from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
+    Chunk,
     ChunkIndex,
     Metadata,
     MetadataIndex,
@@ -33,13 +34,15 @@ import zstandard
 MAGIC = b'\x89MCAP0\r\n'
 PREFIX = struct.Struct('<BQ')  # opcode, length of the body [bytes]
 MESSAGE = struct.Struct('<HIQQ')  # channel, sequence, log time, publish time [ns]
-CHUNK = struct.Struct('<QQQII')  # first and last log time [ns], size, CRC, length of a name
+CHUNK_HEAD = 32  # [bytes] of a chunk: two times, size, checksum, length of a name
 FOOTER_SIZE = PREFIX.size + 20 + len(MAGIC)  # [bytes] of everything that ends a file
 LARGEST = 256 << 20  # [bytes] of one record, and of one chunk when unpacked
+DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA)
 PIECE = 1 << 20  # [bytes] that are unpacked at once
 _PARSED: dict[int, Any] = {
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
+    Opcode.CHUNK: Chunk,
     Opcode.CHUNK_INDEX: ChunkIndex,
     Opcode.METADATA: Metadata,
     Opcode.METADATA_INDEX: MetadataIndex,
@@ -71,17 +74,6 @@ class Message(NamedTuple):
     channel: int
     log_ns: int
     publish_ns: int
-    data: bytes
-
-
-class Chunk(NamedTuple):
-    """The body of a chunk; times in ns, size [bytes] of the data when unpacked."""
-
-    start_ns: int
-    end_ns: int
-    size: int
-    crc: int
-    compression: str
     data: bytes
 
 
@@ -136,23 +128,9 @@ def parse(opcode: int, body: bytes, offset: int) -> Any:
         raise DamageError(offset, f'a damaged {kind.__name__} ({type(error).__name__})') from error
 
 
-def parse_chunk(body: bytes, offset: int) -> Chunk:
-    """Return the parts of the body of a chunk; raises DamageError."""
-    try:
-        start, end, size, crc, length = CHUNK.unpack_from(body)
-        compression = body[CHUNK.size : CHUNK.size + length].decode()
-        (packed,) = struct.unpack_from('<Q', body, CHUNK.size + length)
-    except (struct.error, ValueError) as error:
-        raise DamageError(offset, 'a damaged chunk') from error
-    at = CHUNK.size + length + 8
-    if packed != len(body) - at:
-        raise DamageError(offset, f'a chunk of {packed} bytes: expected {len(body) - at}')
-    return Chunk(start, end, size, crc, compression, body[at:])
-
-
 def unpack(chunk: Chunk, offset: int) -> bytes:
     """Return the records of a chunk, checked by size and CRC; raises DamageError."""
-    size = chunk.size
+    size = chunk.uncompressed_size
     if size > LARGEST:
         raise DamageError(offset, f'a chunk of {size} bytes: expected at most {LARGEST}')
     try:
@@ -177,7 +155,7 @@ def unpack(chunk: Chunk, offset: int) -> bytes:
         raise DamageError(offset, f'a chunk that {chunk.compression} cannot unpack') from error
     if len(data) != size:
         raise DamageError(offset, f'a chunk of {len(data)} bytes: expected {size}')
-    if chunk.crc and zlib.crc32(data) != chunk.crc:
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise DamageError(offset, 'a chunk whose checksum is wrong')
     return data
 
@@ -193,7 +171,7 @@ def _piecewise(read: Callable[[int], bytes], size: int) -> bytes:
     return bytes(data)
 
 
-def contents(data: bytes, offset: int) -> Iterator[Message | Schema | Channel]:
+def contents(data: bytes, offset: int) -> Iterator[Message | Schema | Channel | Metadata]:
     """Yield what lies in the data of a chunk that begins at offset; raises DamageError."""
     at, size = 0, len(data)
     while at < size:
@@ -209,7 +187,7 @@ def contents(data: bytes, offset: int) -> Iterator[Message | Schema | Channel]:
                 raise DamageError(offset, f'a message of {length} bytes')
             channel, _, log_ns, publish_ns = MESSAGE.unpack_from(data, at)
             yield Message(channel, log_ns, publish_ns, data[at + MESSAGE.size : end])
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+        elif opcode in DEFINITIONS:
             yield parse(opcode, data[at:end], offset)
         elif opcode == 0 or Opcode.DATA_END < opcode < 0x80:
             raise DamageError(offset, f'a record of unknown kind {opcode} in a chunk')
@@ -219,24 +197,6 @@ def contents(data: bytes, offset: int) -> Iterator[Message | Schema | Channel]:
 def read_record(file: BinaryIO, record: Record) -> Any:
     """Return what parse() makes of a record of a file; raises DamageError."""
     return parse(record.opcode, read_at(file, record.body, record.length), record.offset)
-
-
-def read_chunk(file: BinaryIO, record: Record) -> Chunk:
-    """Return a chunk of a file, still packed; raises DamageError."""
-    return parse_chunk(read_at(file, record.body, record.length), record.offset)
-
-
-def take_messages(
-    items: Iterator[Message | Schema | Channel], define: Callable[[Any], None]
-) -> list[Message]:
-    """Return the messages among the contents of a chunk, and define() the others in their turn."""
-    messages = []
-    for item in items:
-        if isinstance(item, Message):
-            messages.append(item)
-        else:
-            define(item)
-    return messages
 
 
 def check_magic(file: BinaryIO, path: Path) -> int:

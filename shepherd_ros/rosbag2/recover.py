@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +11,7 @@ import tempfile
 
 from mcap.records import Channel
 from shepherd_ros.rosbag2.errors import BagError, DamageError, unreadable
-from shepherd_ros.rosbag2.metadata import Metadata
+from shepherd_ros.rosbag2.metadata import Metadata, NEVER
 from shepherd_ros.rosbag2.qos import Qos, read_qos
 from shepherd_ros.rosbag2.reader import mcap_files
 from shepherd_ros.rosbag2.salvage import Salvage
@@ -30,12 +31,19 @@ class RecoverResult:
     lost_chunks: int = 0  # at least
     files: int = 0  # that were read
     refused: list[str] = field(default_factory=list)  # why files could not be read at all
+    dropped: Counter[str] = field(default_factory=Counter)  # what can be read but not be kept
+
+    @property
+    def whole(self) -> bool:
+        """Return whether everything that can be read was kept."""
+        return not (self.refused or self.dropped)
 
     def text(self) -> str:
         """Return the result in lines for a terminal."""
         lines = [f'{self.folder}: {self.messages} messages kept of {self.files} files']
         lines += [f'  {topic}: {count}' for topic, count in sorted(self.topics.items())]
         lines.append(f'lost: {self.lost_bytes} bytes in {self.lost_chunks} places')
+        lines += [f'not kept: {count} {what}' for what, count in sorted(self.dropped.items())]
         return '\n'.join(lines + self.refused)
 
 
@@ -111,22 +119,27 @@ def _rewrite(
     result: RecoverResult,
     on_message: OnMessage,
 ) -> None:
-    custom = _custom_data(sources)
-    with BagWriter(folder, compression=compression, custom_data=custom) as writer:
+    noted = _metadata(sources)
+    with BagWriter(
+        folder, compression=compression, custom_data=noted.custom_data, distro=noted.distro
+    ) as writer:
         for number, source in enumerate(sources):
             if number:
                 writer.split()
-            refused: set[int] = set()
-            added: set[int] = set()
+            added: dict[int, str] = {}  # why a channel cannot be written, '' if it can
             try:
                 for message in source:
                     channel = source.channels[message.channel]
-                    if channel.id not in added | refused:
-                        (added if _add(writer, source, channel) else refused).add(channel.id)
-                    if channel.id in refused or message.log_ns >= 2**63:
+                    if channel.id not in added:
+                        added[channel.id] = _add(writer, source, channel)
+                    why = added[channel.id]
+                    if message.log_ns >= NEVER:
+                        why = why or f'messages on {channel.topic} of after the year 2262'
+                    if why:
+                        result.dropped[why] += 1
                         result.lost_bytes += len(message.data)
                         continue
-                    publish_ns = min(message.publish_ns, 2**63 - 1)
+                    publish_ns = min(message.publish_ns, NEVER)
                     on_message(writer.custom_data, channel.topic, message.data)
                     writer.write(channel.topic, message.data, message.log_ns, publish_ns)
                     result.messages += 1
@@ -136,30 +149,33 @@ def _rewrite(
             except DamageError as error:  # somebody else cuts it while it is read
                 result.refused.append(f'{source.path}: {error}')
             for channel in source.channels.values():
-                if channel.id not in added | refused:
+                if channel.id not in added:
                     _add(writer, source, channel)
+            writer.custom_data.update(_metadata([source]).custom_data)  # as it was at the end
+            result.dropped.update(source.unread)
             result.lost_bytes += source.lost_bytes
             result.lost_chunks += source.lost_chunks
 
 
-def _add(writer: BagWriter, source: Salvage, channel: Channel) -> bool:
-    """Announce a topic as it was recorded; return whether it can be written."""
+def _add(writer: BagWriter, source: Salvage, channel: Channel) -> str:
+    """Announce a topic as it was recorded; return why it cannot be written, '' if it can."""
     schema = source.schemas.get(channel.schema_id)
-    if schema is None or channel.message_encoding != 'cdr':
-        return False
+    if schema is None and channel.schema_id:
+        return f'messages on {channel.topic}, whose type is lost'
     try:
         writer.add_topic(
             channel.topic,
-            schema.name,
+            schema.name if schema else '',
             _qos(channel, source.path),
-            schema=(schema.encoding, schema.data),
+            schema=(schema.encoding, schema.data) if schema else ('', b''),
             hash_text=channel.metadata.get('topic_type_hash', ''),
+            serialization=channel.message_encoding,
         )
-    except BagError:
+    except BagError as error:
         if writer.closed:
             raise
-        return False  # two types on one topic: the first one is kept
-    return True
+        return f'messages: {error.what}; the first type is kept'
+    return ''
 
 
 def _qos(channel: Channel, path: Path) -> tuple[Qos, ...]:
@@ -169,11 +185,11 @@ def _qos(channel: Channel, path: Path) -> tuple[Qos, ...]:
         return ()
 
 
-def _custom_data(sources: list[Salvage]) -> dict[str, str]:
-    """Return what the recorder noted at the beginning of the first file that tells of it."""
+def _metadata(sources: list[Salvage]) -> Metadata:
+    """Return what the first file that tells of the bag notes; unknown things are empty."""
     for source in sources:
         try:
-            return dict(Metadata.from_yaml(source.text, source.path).custom_data)
+            return Metadata.from_yaml(source.text, source.path)
         except BagError:
             continue
-    return {}
+    return Metadata(distro='')

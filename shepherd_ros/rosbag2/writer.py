@@ -10,7 +10,7 @@ from shepherd_ros.config import ConfigError, unknown_name
 from shepherd_ros.rosbag2.bag_files import BagFiles
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.mcap_writer import PACKERS
-from shepherd_ros.rosbag2.metadata import Metadata, TopicInfo
+from shepherd_ros.rosbag2.metadata import DISTRO, Metadata, TopicInfo
 from shepherd_ros.rosbag2.qos import Qos
 from shepherd_ros.rosbag2.records import LARGEST
 
@@ -26,7 +26,8 @@ class BagWriter:
 
     What is written before a crash stays readable but for the last chunk; flush() ends a chunk
     early. When the disk is full, the bag is closed with all that can be kept, and BagError is
-    raised. custom_data goes into the metadata, and may change until the end.
+    raised. custom_data goes into the metadata, and may change until the end; so does distro, the
+    distribution of ROS that the messages are from.
     """
 
     def __init__(
@@ -38,6 +39,7 @@ class BagWriter:
         split_bytes: int = 0,
         split_seconds: float = 0.0,
         custom_data: Mapping[str, str] | None = None,
+        distro: str = DISTRO,
     ) -> None:
         """Create the folder, which must not exist; raises BagError. Splits: 0 for never."""
         if compression not in PACKERS:
@@ -56,7 +58,7 @@ class BagWriter:
         self.count = 0  # messages taken
         self.closed = False
         try:
-            self._files = BagFiles(self.folder, compression, chunk_size, self.custom_data)
+            self._files = BagFiles(self.folder, compression, chunk_size, self.custom_data, distro)
         except FileExistsError as error:
             raise BagError(
                 self.folder, 'it exists already', 'choose another folder or remove this one'
@@ -87,22 +89,24 @@ class BagWriter:
         *,
         schema: tuple[str, bytes],
         hash_text: str = '',
+        serialization: str = 'cdr',
     ) -> None:
         """
-        Announce a topic; again is fine, another type on it is a BagError.
+        Announce a topic; again is fine, another type or text on it is a BagError.
 
         schema is encoding and text of its type, hash_text the hash of that.
         """
         before = self._files.topics.get(name)
         if before is not None:
-            if before.type != type_name:
+            if before.type != type_name or self._files.schemas[name] != schema:
+                other = type_name if before.type != type_name else f'another {type_name}'
                 raise BagError(
                     self.folder,
-                    f'{name} has type {before.type} and is offered as {type_name} too',
+                    f'{name} has type {before.type} and is offered as {other} too',
                     'record one of them, remap the other',
                 )
             return
-        topic = TopicInfo(name, type_name, qos=tuple(qos), type_hash=hash_text)
+        topic = TopicInfo(name, type_name, 0, tuple(qos), hash_text, serialization)
         self._guarded(lambda: self._files.add_topic(topic, *schema))
 
     def write(self, topic: str, cdr: bytes, log_ns: int, publish_ns: int) -> None:

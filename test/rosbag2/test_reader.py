@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 import shutil
 import tracemalloc
 
+from mcap.data_stream import RecordBuilder
 from mcap.writer import CompressionType, IndexType, Writer
 import pytest
 from rosbag2.tiny import cdr, LOG_START_NS, make, recording, Sent, STORE, tiny_bag, write
@@ -13,7 +15,10 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.rosbag2.enums import StoragePlugin
 from shepherd_ros.recordings.writer import RecordingWriter
 from shepherd_ros.rosbag2.errors import BagError
+from shepherd_ros.rosbag2.mcap_reader import Storage
 from shepherd_ros.rosbag2.reader import open_bag
+from shepherd_ros.rosbag2.recover import recover
+from shepherd_ros.rosbag2.salvage import Salvage
 from shepherd_ros.wire.schemas import schema_text
 
 MESSAGES = recording()[0]
@@ -124,6 +129,48 @@ def test_files_of_the_mcap_library(tmp_path: Path, options: dict[str, object]) -
     assert rows(path, topics=['/goal']) == [m for m in SENT if m[0] == '/goal']
 
 
+FORMS = ('use_chunking', 'repeat_channels', 'repeat_schemas', 'use_statistics',
+         'use_summary_offsets', 'enable_crcs')  # fmt: skip
+INDEXES = (IndexType.ALL, IndexType.NONE, IndexType.CHUNK, IndexType.MESSAGE)
+
+
+@pytest.mark.parametrize('padding', [b'', b'\1\2\3'], ids=['plain', 'padded'])
+def test_every_form_that_the_format_allows_opens(
+    tmp_path: Path, padding: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As MCAP's conformance files: all combinations of what a writer may leave out or add."""
+    finish = RecordBuilder.finish_record
+
+    def finish_padded(self: RecordBuilder) -> None:  # what may be longer than today's readers know
+        if padding and self._buffer.getvalue()[self._record_start_offset] not in (2, 5, 6):
+            self.write(padding)
+        finish(self)
+
+    monkeypatch.setattr(RecordBuilder, 'finish_record', finish_padded)
+    path = tmp_path / 'form.mcap'
+    for flags in product((True, False), repeat=len(FORMS)):
+        for index, count in product(INDEXES, (0, 1, 10)):
+            with path.open('wb') as stream:
+                options = dict(zip(FORMS, flags, strict=True))
+                writer = Writer(stream, index_types=index, chunk_size=60, **options)
+                writer.start('')
+                schema = writer.register_schema('A', 'c', b'd')
+                channels = [writer.register_channel('/a', 'e', schema),
+                            writer.register_channel('/b', 'e', 0)]  # fmt: skip
+                writer.add_attachment(1, 2, 'n', 't', b'data')
+                writer.add_metadata('m', {'k': 'v'})
+                for k in range(count):
+                    writer.add_message(channels[k % 2], k, bytes([k]), k)
+                writer.finish()
+            expected = [(('/a', '/b')[k % 2], ('A', '')[k % 2], bytes([k]), k, k)
+                        for k in range(count)]  # fmt: skip
+            assert rows(path) == expected, (options, index)
+            assert open_bag(path).count == count
+            salvage = Salvage(path)
+            assert [m.log_ns for m in salvage] == list(range(count)), (options, index)
+            assert salvage.unread == {'attachments': 1}
+
+
 @pytest.mark.parametrize('version', [8, 9])
 def test_bags_of_rosbags(tmp_path: Path, version: int) -> None:
     folder = tmp_path / 'theirs'
@@ -183,6 +230,22 @@ def test_metadata_that_names_other_files_is_refused(bag: Path, tmp_path: Path) -
     note.write_bytes(b'\xff\xfe\0')
     with pytest.raises(BagError, match='it is no text; run `shepherd bag recover'):
         open_bag(copy)
+
+
+def test_what_is_advised_keeps_the_other_files(bag: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(bag, tmp_path / 'copy')
+    last = sorted(copy.glob('*.mcap'))[-1]
+    advice = f'{last}: .*run `shepherd bag recover {copy}` to keep'
+    whole = last.read_bytes()
+    for damage in (
+        last.unlink,
+        lambda: last.write_bytes(b''),
+        lambda: last.write_bytes(whole[:99]),
+    ):
+        damage()
+        with pytest.raises(BagError, match=advice):
+            open_bag(copy)
+    assert recover(copy).messages == open_bag(bag).count - Storage(bag / last.name).count
 
 
 def test_a_flipped_bit_in_a_chunk_is_found(bag: Path, tmp_path: Path) -> None:

@@ -7,16 +7,15 @@ import tracemalloc
 import zlib
 
 from lz4 import frame as lz4
+from mcap.records import Chunk
 import pytest
 from shepherd_ros.rosbag2.errors import DamageError
 from shepherd_ros.rosbag2.records import (
-    Chunk,
     contents,
     LARGEST,
     MESSAGE,
     Message,
     parse,
-    parse_chunk,
     PREFIX,
     read_at,
     record_at,
@@ -29,7 +28,7 @@ PACKERS = {'zstd': zstandard.compress, 'lz4': lz4.compress, '': bytes}
 
 def chunk(data: bytes, kind: str, size: int, crc: int = 0) -> Chunk:
     """Return a chunk with data packed, which claims to have a size."""
-    return Chunk(0, 0, size, crc, kind, PACKERS[kind](data))
+    return Chunk(kind, PACKERS[kind](data), 0, 0, crc, size)
 
 
 @pytest.mark.parametrize('kind', PACKERS)
@@ -64,7 +63,7 @@ def test_a_chunk_that_unpacks_to_more_than_it_claims_takes_no_memory(kind: str) 
 @pytest.mark.parametrize('kind', ['zstd', 'lz4', 'gzip', 'zst\x00'])
 def test_what_cannot_be_unpacked_is_refused(kind: str) -> None:
     with pytest.raises(DamageError, match=r'cannot unpack|packed with'):
-        unpack(Chunk(0, 0, 10, 0, kind, b'nothing of the kind'), 0)
+        unpack(Chunk(kind, b'nothing of the kind', 0, 0, 0, 10), 0)
 
 
 def test_records_do_not_reach_beyond_the_file() -> None:
@@ -89,8 +88,8 @@ def test_bodies_that_are_too_short_are_damaged(opcode: int, body: bytes) -> None
 
 @pytest.mark.parametrize('body', [b'', bytes(20), bytes(32) + b'\xff' * 8, b'\xff' * 60])
 def test_chunks_that_make_no_sense_are_damaged(body: bytes) -> None:
-    with pytest.raises(DamageError, match='chunk'):
-        parse_chunk(body, 0)
+    with pytest.raises(DamageError, match='Chunk'):
+        parse(6, body, 0)
 
 
 def test_contents_end_where_the_chunk_ends() -> None:

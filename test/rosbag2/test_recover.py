@@ -7,11 +7,13 @@ import random
 import shutil
 
 from mcap.reader import make_reader
+from mcap.writer import Writer
 import pytest
 from rosbag2.test_reader import mcap_of_others
 from rosbag2.tiny import recording, Sent, tiny_bag, write
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
+from shepherd_ros.cli import main
 from shepherd_ros.recordings.check import check_bag
 from shepherd_ros.recordings.writer import recover_recording
 from shepherd_ros.rosbag2.diff import diff_bags
@@ -19,6 +21,7 @@ from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.mcap_reader import ChunkRef, Storage
 from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.rosbag2.recover import recovered_folder
+from shepherd_ros.rosbag2.writer import BagWriter
 
 MESSAGES = list(recording()[0])
 CHUNK = 3000  # [bytes]
@@ -190,6 +193,56 @@ def test_a_file_with_nothing_but_a_front_gives_an_empty_bag(whole: Path, tmp_pat
         assert kept(recover_recording(tmp_path / f'{size}.mcap').folder) == []
 
 
+def test_a_last_chunk_that_was_altered_is_lost_and_a_torn_one_is_not(
+    whole: Path, tmp_path: Path
+) -> None:
+    """All of its bytes are there, and one is another: nobody knows in which message."""
+    data = bytearray((whole / 'bag_0.mcap').read_bytes())
+    chunks = Storage(whole / 'bag_0.mcap').chunks
+    last = chunks[-1]
+    data[last.offset + last.length - 5] ^= 1
+    for size in (len(data), last.offset + last.length):
+        (tmp_path / f'{size}.mcap').write_bytes(data[:size])
+        result = recover_recording(tmp_path / f'{size}.mcap')
+        assert result.messages == messages_in(whole, chunks[:-1])
+        assert kept(result.folder) == MESSAGES[: result.messages]
+
+
+def test_messages_in_other_encodings_are_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / 'json.mcap'
+    with path.open('wb') as stream:
+        writer = Writer(stream)
+        writer.start('')
+        schema = writer.register_schema('J', 'jsonschema', b'{}')
+        for number, topic in ((schema, '/j'), (0, '/n')):
+            channel = writer.register_channel(topic, 'json', number)
+            writer.add_message(channel, 7, b'{"i": 0}', 7)
+        writer.add_attachment(1, 1, 'map.png', 'image/png', b'png')
+        writer.finish()
+    assert main(['bag', 'recover', str(path)]) == 1
+    assert 'not kept: 1 attachments' in capsys.readouterr().out
+    new = open_bag(tmp_path / 'json_recovered')
+    assert [(m.topic, m.type, m.data) for m in new.messages()] == [
+        ('/j', 'J', b'{"i": 0}'), ('/n', '', b'{"i": 0}'),
+    ]  # fmt: skip
+    assert {topic.serialization for topic in new.topics.values()} == {'json'}
+    assert new.schemas['J'] == ('jsonschema', b'{}')
+
+
+def test_the_distribution_and_what_was_noted_last_stay(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'bag', distro='humble') as writer:
+        writer.custom_data['lost'] = '3'  # known at the end only
+    for distro, path in (('humble', tmp_path / 'bag'), ('', tmp_path / 'plain.mcap')):
+        if not distro:
+            mcap_of_others(path, MESSAGES[:3])
+        metadata = open_bag(recover_recording(path).folder).metadata
+        assert metadata is not None
+        assert metadata.distro == distro
+        assert metadata.custom_data == ({'lost': '3'} if distro else {})
+
+
 def test_two_types_on_one_topic_keep_the_first(tmp_path: Path) -> None:
     first = write(tmp_path / 'bag', MESSAGES[:20])
     other = write(tmp_path / 'b', [MESSAGES[0]._replace(topic='/flock/poses', log_ns=10**18)])
@@ -197,3 +250,17 @@ def test_two_types_on_one_topic_keep_the_first(tmp_path: Path) -> None:
     result = recover_recording(first)
     assert kept(result.folder) == MESSAGES[:20]
     assert result.lost_bytes == len(MESSAGES[0].data)
+    assert not result.whole
+    assert '1 messages: /flock/poses has type geometry_msgs/msg/PoseArray' in result.text()
+    assert 'is offered as std_msgs/msg/String too; the first type is kept' in result.text()
+
+
+def test_two_texts_of_one_type_on_one_topic_keep_the_first(tmp_path: Path) -> None:
+    for number, text in enumerate((b'float64 data\n', b'float32 a\nfloat32 data\n')):
+        with BagWriter(tmp_path / f'{number}') as writer:
+            writer.add_topic('/f', 'std_msgs/msg/Float64', schema=('ros2msg', text))
+            writer.write('/f', bytes(12), number, number)
+    shutil.move(tmp_path / '1' / '1_0.mcap', tmp_path / '0' / '0_1.mcap')
+    result = recover_recording(tmp_path / '0')
+    assert (result.messages, result.whole) == (1, False)
+    assert 'is offered as another std_msgs/msg/Float64 too' in result.text()
