@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 import math
 from typing import Any
 
@@ -74,14 +75,13 @@ def ring_state(seed: int, n: int, m: int) -> WorldState:
 # --- against the reference ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize('n', [1, 2, 10, 100])
-@pytest.mark.parametrize('m', [1, 2, 3, 6, 20])
-def test_commands_are_those_of_the_reference(n: int, m: int) -> None:
-    for seed in range(8):
-        state = ring_state(100 * n + 10 * m + seed, n, m)
-        reference = expected(state)
-        assert_near(act(state), reference, 1e-7)
-        assert_near(act(state.to(torch.float32)), reference, 1e-4)
+def test_commands_are_those_of_the_reference() -> None:
+    for n, m in product([1, 2, 10, 100], [1, 2, 3, 6, 20]):
+        for seed in range(3):
+            state = ring_state(100 * n + 10 * m + seed, n, m)
+            reference = expected(state)
+            assert_near(act(state), reference, 1e-7)
+            assert_near(act(state.to(torch.float32)), reference, 1e-4)
 
 
 def test_commands_for_a_thousand_sheep_are_those_of_the_reference() -> None:
@@ -109,10 +109,9 @@ def test_commands_for_a_thousand_sheep_are_those_of_the_reference() -> None:
     ],
     ids=str,
 )
-@pytest.mark.parametrize('dt', [0.1, 1.0])
-def test_every_option_is_that_of_the_reference(options: dict[str, Any], dt: float) -> None:
-    world = WorldConfig(dt=dt, shepherd_speed=1.5)
-    for seed in range(10):
+def test_every_option_is_that_of_the_reference(options: dict[str, Any]) -> None:
+    for dt, seed in product([0.1, 1.0], range(10)):
+        world = WorldConfig(dt=dt, shepherd_speed=1.5)
         state = ring_state(seed, 20, 4)
         reference = expected(state, world, **options)
         assert_near(act(state, world, **options), reference, 1e-7)
@@ -279,38 +278,37 @@ def walk(
     return places, commands
 
 
-@pytest.mark.parametrize('start', [0.7, 3.0, 6.5, 9.0, 14.0, 30.0])
-@pytest.mark.parametrize('dt', [0.1, 0.5, 1.0])
-def test_a_detour_goes_round_the_flock_at_top_speed_and_straight_to_its_bearing(
-    start: float, dt: float
-) -> None:
+def test_a_detour_goes_round_the_flock_at_top_speed_and_straight_to_its_bearing() -> None:
     # 16 sheep in a ring of 4 m about (3, -2): the place is 4 m behind, the arc has 4 + 3 m
     center = torch.tensor([3.0, -2.0], dtype=DOUBLE)
     ring = torch.arange(16, dtype=DOUBLE) * (math.pi / 8)
     sheep = center + 4 * torch.stack([torch.cos(ring), torch.sin(ring)], -1)
     target, arc = center + torch.tensor([4.0, 0.0], dtype=DOUBLE), 7.0
-    states = []
-    for bearing in (0.3, 1.0, 2.0, 2.9, -3.1, -2.0, -0.5):
+    starts, states = [], []
+    for start, bearing in product(
+        (0.7, 3.0, 6.5, 9.0, 14.0, 30.0), (0.3, 1.0, 2.0, 2.9, -3.1, -2.0, -0.5)
+    ):
         way = torch.tensor([math.cos(bearing), math.sin(bearing)], dtype=DOUBLE)
+        starts.append(start)
         states.append(state_of(sheep, center + start * way, goal=[-50.0, -2.0]))
-    places, commands = walk(batch(states), int(60 / dt), WorldConfig(dt=dt))
-
-    for b in range(len(states)):
-        offset = [(p[b, 0] - center).tolist() for p in places]
-        left = [-math.atan2(y, x) for x, y in offset]
-        distance = [math.hypot(x, y) for x, y in offset]
-        speed = [math.hypot(*c[b, 0].tolist()) for c in commands]
-        assert max(speed) <= 1 + 1e-9
-        for t in range(len(commands)):
-            if abs(left[t]) <= 0.2:
-                continue
-            if distance[t] <= arc:  # on its way round
-                assert speed[t] == pytest.approx(1.0)
-                assert distance[t + 1] >= distance[t] - 1e-9
-            assert distance[t + 1] >= min(start, arc) - 1e-6
-            assert abs(left[t + 1]) <= abs(left[t]) + 1e-12
-            assert left[t + 1] * left[t] > 0  # it does not turn back
-        assert_near(places[-1][b, 0], target, 1e-6)
+    for dt in (0.1, 0.5, 1.0):
+        places, commands = walk(batch(states), int(60 / dt), WorldConfig(dt=dt))
+        for b, start in enumerate(starts):
+            offset = [(p[b, 0] - center).tolist() for p in places]
+            left = [-math.atan2(y, x) for x, y in offset]
+            distance = [math.hypot(x, y) for x, y in offset]
+            speed = [math.hypot(*c[b, 0].tolist()) for c in commands]
+            assert max(speed) <= 1 + 1e-9
+            for t in range(len(commands)):
+                if abs(left[t]) <= 0.2:
+                    continue
+                if distance[t] <= arc:  # on its way round
+                    assert speed[t] == pytest.approx(1.0)
+                    assert distance[t + 1] >= distance[t] - 1e-9
+                assert distance[t + 1] >= min(start, arc) - 1e-6
+                assert abs(left[t + 1]) <= abs(left[t]) + 1e-12
+                assert left[t + 1] * left[t] > 0  # it does not turn back
+            assert_near(places[-1][b, 0], target, 1e-6)
 
 
 def test_a_shepherd_on_the_arc_stays_on_it() -> None:

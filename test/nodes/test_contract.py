@@ -141,10 +141,10 @@ def test_subscribers_ask_for_what_the_contract_says_and_publishers_offer(
                 assert offered.durability in (qos.durability, DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-@pytest.mark.parametrize('topic', sorted(TOPICS))
-def test_the_depth_of_a_publisher_and_of_a_subscriber_is_that_of_the_contract(topic: str) -> None:
-    profile = PROFILES[TOPICS[topic].profile]
-    assert quality(topic).depth == quality(topic, subscribe=True).depth == profile.depth
+def test_the_depth_of_a_publisher_and_of_a_subscriber_is_that_of_the_contract() -> None:
+    for topic in sorted(TOPICS):
+        profile = PROFILES[TOPICS[topic].profile]
+        assert quality(topic).depth == quality(topic, subscribe=True).depth == profile.depth
 
 
 HEADERS = [row for row in TOPICS.values() if row.publisher != ('user',)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import product
 import json
 from pathlib import Path
 
@@ -50,18 +51,17 @@ def test_a_whole_recording_is_ok(tmp_path: Path) -> None:
     assert result.text() == '2 episodes, 10 states\nok'
 
 
-@pytest.mark.parametrize('topic', TOPICS)
-@pytest.mark.parametrize('index', [0, 3, 7])
-def test_one_missing_message_is_one_gap(tmp_path: Path, topic: str, index: int) -> None:
-    result = check(tmp_path / 'bag', without(MESSAGES, topic, index))
-    (finding,) = result.findings
-    episode, step = divmod(index, STEPS + 1)
-    stamp_ns = DT_NS * (1 + index)
-    assert (finding.kind, finding.episode, finding.step) == ('gap', episode, step)
-    assert (finding.stamp_ns, finding.topic) == (stamp_ns, topic)
-    place = f'gap: episode {episode}, step {step}, stamp {stamp_ns / 1e9:.9f}, {topic}: missing'
-    assert str(finding) == place
-    assert not result.ok
+def test_one_missing_message_is_one_gap(tmp_path: Path) -> None:
+    for number, (topic, index) in enumerate(product(TOPICS, (0, 3, 7))):
+        result = check(tmp_path / str(number), without(MESSAGES, topic, index))
+        (finding,) = result.findings
+        episode, step = divmod(index, STEPS + 1)
+        stamp_ns = DT_NS * (1 + index)
+        assert (finding.kind, finding.episode, finding.step) == ('gap', episode, step)
+        assert (finding.stamp_ns, finding.topic) == (stamp_ns, topic)
+        at = f'stamp {stamp_ns / 1e9:.9f}, {topic}'
+        assert str(finding) == f'gap: episode {episode}, step {step}, {at}: missing'
+        assert not result.ok
 
 
 def test_the_first_gap_comes_first(tmp_path: Path) -> None:
@@ -80,11 +80,11 @@ def test_the_last_state_of_an_episode_needs_no_command(tmp_path: Path) -> None:
     assert not check(tmp_path / 'scan', without(MESSAGES, '/shepherd_0/scan/goal', STEPS)).ok
 
 
-@pytest.mark.parametrize('cut', range(63, len(MESSAGES), 5))
-def test_the_last_episode_may_end_early(tmp_path: Path, cut: int) -> None:
-    result = check(tmp_path / 'bag', MESSAGES[:cut])
-    assert result.ok, result.text()
-    assert result.unfinished == ([1] if cut < len(MESSAGES) - 3 else [])
+def test_the_last_episode_may_end_early(tmp_path: Path) -> None:
+    for cut in range(63, len(MESSAGES), 5):
+        result = check(tmp_path / str(cut), MESSAGES[:cut])
+        assert result.ok, result.text()
+        assert result.unfinished == ([1] if cut < len(MESSAGES) - 3 else [])
 
 
 def test_an_episode_that_is_told_again_is_the_same(tmp_path: Path) -> None:

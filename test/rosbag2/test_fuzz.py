@@ -25,7 +25,7 @@ from shepherd_ros.rosbag2.metadata import FileInfo, Metadata
 from shepherd_ros.rosbag2.reader import open_bag
 
 MESSAGES = list(recording()[0])
-CASES = 2000
+CASES = 500
 FUZZ = Path(__file__).with_name('fuzz.py')
 MEMORY = Path('/dev/shm')
 
@@ -70,28 +70,28 @@ def test_damaged_files_end_in_words(place: Path, seeds: Path) -> None:
     result = json.loads(done.stdout.splitlines()[-1])
     assert result['bad'] == []
     assert sum(result['ends'].values()) == CASES
-    assert min(result['ends'].get(end, 0) for end in ('refused', 'broken', 'unharmed')) > 50
+    assert min(result['ends'].get(end, 0) for end in ('refused', 'broken', 'unharmed')) > 12
     assert result['peak'] < 150  # MiB
 
 
-@pytest.mark.parametrize('seed', range(100))
-def test_damaged_messages_in_a_whole_file_end_in_words(place: Path, seed: int) -> None:
+def test_damaged_messages_in_a_whole_file_end_in_words(place: Path) -> None:
     """Bytes of messages are changed before they are written, so that no checksum tells."""
-    rng = random.Random(seed)
-    rows: list[Sent] = []
-    for message in MESSAGES[: rng.randrange(len(MESSAGES))]:
-        data = bytearray(message.data)
-        if rng.random() < 0.03:
-            del data[rng.randrange(len(data)) :]
-        if rng.random() < 0.03 and data:
-            data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
-        stamp = message.log_ns + rng.choice([0, 0, 0, 10**6, -(10**6), 10**15])
-        if rng.random() > 0.01:
-            rows.append(message._replace(data=bytes(data), log_ns=stamp))
-    bag = open_bag(write(place / f'm{seed}', rows, chunk_size=4000))
-    check_bag(bag)
-    for action in (bag_info, lambda b: list(iter_episodes(b)), lambda b: diff_bags(b, b)):
-        try:
-            action(bag)  # type: ignore[operator]
-        except BagError as error:
-            assert str(error).startswith(str(bag.path))
+    for seed in range(100):
+        rng = random.Random(seed)
+        rows: list[Sent] = []
+        for message in MESSAGES[: rng.randrange(len(MESSAGES))]:
+            data = bytearray(message.data)
+            if rng.random() < 0.03:
+                del data[rng.randrange(len(data)) :]
+            if rng.random() < 0.03 and data:
+                data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+            stamp = message.log_ns + rng.choice([0, 0, 0, 10**6, -(10**6), 10**15])
+            if rng.random() > 0.01:
+                rows.append(message._replace(data=bytes(data), log_ns=stamp))
+        bag = open_bag(write(place / f'm{seed}', rows, chunk_size=4000))
+        check_bag(bag)
+        for action in (bag_info, lambda b: list(iter_episodes(b)), lambda b: diff_bags(b, b)):
+            try:
+                action(bag)  # type: ignore[operator]
+            except BagError as error:
+                assert str(error).startswith(str(bag.path))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from io import BytesIO
+from itertools import product
 import tracemalloc
 import zlib
 
@@ -60,10 +61,10 @@ def test_a_chunk_that_unpacks_to_more_than_it_claims_takes_no_memory(kind: str) 
     tracemalloc.stop()
 
 
-@pytest.mark.parametrize('kind', ['zstd', 'lz4', 'gzip', 'zst\x00'])
-def test_what_cannot_be_unpacked_is_refused(kind: str) -> None:
-    with pytest.raises(DamageError, match=r'cannot unpack|packed with'):
-        unpack(Chunk(kind, b'nothing of the kind', 0, 0, 0, 10), 0)
+def test_what_cannot_be_unpacked_is_refused() -> None:
+    for kind in ['zstd', 'lz4', 'gzip', 'zst\x00']:
+        with pytest.raises(DamageError, match=r'cannot unpack|packed with'):
+            unpack(Chunk(kind, b'nothing of the kind', 0, 0, 0, 10), 0)
 
 
 def test_records_do_not_reach_beyond_the_file() -> None:
@@ -79,17 +80,16 @@ def test_records_do_not_reach_beyond_the_file() -> None:
             record_at(BytesIO(PREFIX.pack(opcode, 0)), 0, 9)
 
 
-@pytest.mark.parametrize('opcode', [3, 4, 8, 11, 12, 13])
-@pytest.mark.parametrize('body', [b'', bytes(3), b'\xff' * 40])
-def test_bodies_that_are_too_short_are_damaged(opcode: int, body: bytes) -> None:
-    with pytest.raises(DamageError, match=r'a damaged \w+ .* at byte 5'):
-        parse(opcode, body, 5)
+def test_bodies_that_are_too_short_are_damaged() -> None:
+    for opcode, body in product([3, 4, 8, 11, 12, 13], [b'', bytes(3), b'\xff' * 40]):
+        with pytest.raises(DamageError, match=r'a damaged \w+ .* at byte 5'):
+            parse(opcode, body, 5)
 
 
-@pytest.mark.parametrize('body', [b'', bytes(20), bytes(32) + b'\xff' * 8, b'\xff' * 60])
-def test_chunks_that_make_no_sense_are_damaged(body: bytes) -> None:
-    with pytest.raises(DamageError, match='Chunk'):
-        parse(6, body, 0)
+def test_chunks_that_make_no_sense_are_damaged() -> None:
+    for body in [b'', bytes(20), bytes(32) + b'\xff' * 8, b'\xff' * 60]:
+        with pytest.raises(DamageError, match='Chunk'):
+            parse(6, body, 0)
 
 
 def test_contents_end_where_the_chunk_ends() -> None:

@@ -1,6 +1,7 @@
 """The compiled forms equal the plain ones, on the same float32 worlds."""
 
 from dataclasses import replace
+from itertools import product
 
 import pytest
 from shepherd_ros.controllers import make_controller
@@ -43,26 +44,25 @@ def worlds(flock, n_sheep: int, batch: int) -> tuple[WorldConfig, WorldState]:
     return config, replace(state, sheep_mask=fewer)
 
 
-def both(monkeypatch: pytest.MonkeyPatch, compute):
+def both(monkeypatch: pytest.MonkeyPatch, law, *arguments):
     assert compiled.AVAILABLE, 'numba is part of what make installs'
-    fast = compute()
+    fast = law(*arguments)
     monkeypatch.setattr(compiled, 'AVAILABLE', False)
-    plain = compute()
+    plain = law(*arguments)
     monkeypatch.undo()
     return fast, plain
 
 
-@pytest.mark.parametrize('n_sheep', [1, 2, 30, 100])
-@pytest.mark.parametrize('flock', FLOCKS)
-def test_a_compiled_flock_step_equals_the_plain_one(monkeypatch, flock, n_sheep) -> None:
-    config, state = worlds(flock, n_sheep, batch=6)
-    law = model_of(flock).step
-    for _ in range(3):
-        fast, plain = both(monkeypatch, lambda now=state: law(now, flock, config.dt))
-        present = state.sheep_mask
-        torch.testing.assert_close(fast[0][present], plain[0][present], atol=2e-5, rtol=0)
-        torch.testing.assert_close(fast[1][present], plain[1][present], atol=1e-4, rtol=0)
-        state = step(state, torch.ones_like(state.shepherds), config)
+def test_a_compiled_flock_step_equals_the_plain_one(monkeypatch) -> None:
+    for n_sheep, flock in product([1, 2, 30, 100], FLOCKS):
+        config, state = worlds(flock, n_sheep, batch=6)
+        law = model_of(flock).step
+        for _ in range(3):
+            fast, plain = both(monkeypatch, law, state, flock, config.dt)
+            present = state.sheep_mask
+            torch.testing.assert_close(fast[0][present], plain[0][present], atol=2e-5, rtol=0)
+            torch.testing.assert_close(fast[1][present], plain[1][present], atol=1e-4, rtol=0)
+            state = step(state, torch.ones_like(state.shepherds), config)
 
 
 @pytest.mark.parametrize('n_rays', [4, 90, 512])
@@ -71,7 +71,7 @@ def test_a_compiled_scan_equals_the_plain_one_but_for_rays_that_graze_a_rim(
 ) -> None:
     _, state = worlds(StrombomFlock(), 60, batch=8)
     config = LidarConfig(n_rays=n_rays, range_max=20.0)
-    fast, plain = both(monkeypatch, lambda: scan(state, config))
+    fast, plain = both(monkeypatch, scan, state, config)
     same = (fast == plain) | ((fast - plain).abs() < 2e-3)
     assert same.float().mean() > 0.9995
     assert plain.isfinite().any() and (~plain.isfinite()).any()
@@ -85,22 +85,20 @@ def test_a_compiled_scan_of_chosen_shepherds_is_those_rows_of_the_whole() -> Non
     assert torch.equal(part, whole[:, chosen])
 
 
-@pytest.mark.parametrize('n_sheep', [1, 2, 30, 100])
 @pytest.mark.parametrize(('name', 'options'), CONTROLLERS)
 def test_a_compiled_controller_answers_as_the_plain_one_but_where_places_are_equally_good(
-    monkeypatch, name, options, n_sheep
+    monkeypatch, name, options
 ) -> None:
-    config, state = worlds(StrombomFlock(), n_sheep, batch=12)
-    controller = make_controller(name, config, **options)
-    memory, same = controller.begin(state), []
-    for _ in range(20):
-        (fast, after), (plain, expected) = both(
-            monkeypatch, lambda now=state, m=memory: controller.act(now, m)
-        )
-        torch.testing.assert_close(after, expected, atol=1e-5, rtol=0)
-        same.append((fast - plain).abs().amax(dim=(-2, -1)) < 5e-4)
-        state, memory = step(state, plain, config), expected
-    assert torch.stack(same).float().mean() > 0.99  # of 240; a draw falls by the last digit
+    for n_sheep in (1, 2, 30, 100):
+        config, state = worlds(StrombomFlock(), n_sheep, batch=12)
+        controller = make_controller(name, config, **options)
+        memory, same = controller.begin(state), []
+        for _ in range(20):
+            (fast, after), (plain, expected) = both(monkeypatch, controller.act, state, memory)
+            torch.testing.assert_close(after, expected, atol=1e-5, rtol=0)
+            same.append((fast - plain).abs().amax(dim=(-2, -1)) < 5e-4)
+            state, memory = step(state, plain, config), expected
+        assert torch.stack(same).float().mean() > 0.99  # of 240; a draw falls by the last digit
 
 
 @pytest.mark.parametrize('name', ['strombom', 'pierson'])
@@ -116,47 +114,47 @@ def test_a_compiled_controller_answers_a_world_of_a_batch_as_it_does_that_world_
 
 
 @pytest.mark.parametrize('shape', ['disc', 'two groups', 'a stray', 'a line', 'one point'])
-@pytest.mark.parametrize('n_sheep', [140, 1600])
-@pytest.mark.parametrize(
-    'flock', [StrombomFlock(n_neighbors=30, sheep_range=2.5), StrombomFlock(), ReynoldsFlock()]
-)
-def test_on_a_grid_a_large_flock_moves_as_without(monkeypatch, flock, n_sheep, shape) -> None:
-    config, state = worlds(flock, n_sheep, batch=2)
-    sheep = state.sheep * (n_sheep / 100) ** 0.5
-    if shape == 'two groups':
-        sheep[:, ::2] += 60.0
-    elif shape == 'a stray':
-        sheep[:, 3] -= 5000.0
-    elif shape == 'a line':
-        sheep[..., 1] = 1.0
-    elif shape == 'one point':
-        sheep[:] = sheep[:, :1].clone()
-    state = replace(state, sheep=sheep, shepherds=state.shepherds + 3.0)
-    law = model_of(flock).step
-    fast, plain = both(monkeypatch, lambda: law(state, flock, config.dt))
-    present = state.sheep_mask  # what becomes of the absent is nobody's business
-    for ours, wanted in zip(fast, plain, strict=True):
-        torch.testing.assert_close(ours[present], wanted[present], atol=2e-4, rtol=1e-6)
+def test_on_a_grid_a_large_flock_moves_as_without(monkeypatch, shape) -> None:
+    near = StrombomFlock(n_neighbors=30, sheep_range=2.5)
+    for flock, n_sheep in product([near, StrombomFlock(), ReynoldsFlock()], [140, 1600]):
+        config, state = worlds(flock, n_sheep, batch=2)
+        sheep = state.sheep * (n_sheep / 100) ** 0.5
+        if shape == 'two groups':
+            sheep[:, ::2] += 60.0
+        elif shape == 'a stray':
+            sheep[:, 3] -= 5000.0
+        elif shape == 'a line':
+            sheep[..., 1] = 1.0
+        elif shape == 'one point':
+            sheep[:] = sheep[:, :1].clone()
+        state = replace(state, sheep=sheep, shepherds=state.shepherds + 3.0)
+        law = model_of(flock).step
+        fast, plain = both(monkeypatch, law, state, flock, config.dt)
+        present = state.sheep_mask  # what becomes of the absent is nobody's business
+        for ours, wanted in zip(fast, plain, strict=True):
+            torch.testing.assert_close(ours[present], wanted[present], atol=2e-4, rtol=1e-6)
 
 
-@pytest.mark.parametrize('scale', [0.0, 0.01, 1.0, 1000.0])
-def test_the_farthest_sheep_are_found_however_wide_the_flock_is(monkeypatch, scale: float) -> None:
-    flock = StrombomFlock(n_neighbors=60, shepherd_range=1e6, metric_attraction=True)
-    config, state = worlds(flock, 100, batch=3)
-    state = replace(state, sheep=state.sheep[:, :1] + scale * (state.sheep - state.sheep[:, :1]))
-    law = model_of(flock).step
-    fast, plain = both(monkeypatch, lambda: law(state, flock, config.dt))
-    for ours, wanted in zip(fast, plain, strict=True):
-        torch.testing.assert_close(
-            ours[state.sheep_mask], wanted[state.sheep_mask], atol=1e-4, rtol=1e-6
+def test_the_farthest_sheep_are_found_however_wide_the_flock_is(monkeypatch) -> None:
+    for scale in [0.0, 0.01, 1.0, 1000.0]:
+        flock = StrombomFlock(n_neighbors=60, shepherd_range=1e6, metric_attraction=True)
+        config, state = worlds(flock, 100, batch=3)
+        state = replace(
+            state, sheep=state.sheep[:, :1] + scale * (state.sheep - state.sheep[:, :1])
         )
+        law = model_of(flock).step
+        fast, plain = both(monkeypatch, law, state, flock, config.dt)
+        for ours, wanted in zip(fast, plain, strict=True):
+            torch.testing.assert_close(
+                ours[state.sheep_mask], wanted[state.sheep_mask], atol=1e-4, rtol=1e-6
+            )
 
 
-@pytest.mark.parametrize('odd', [torch.nan, torch.inf, 1e30, 3e38, 1e-30, 0.0])
-def test_compiled_shepherds_move_as_the_plain_ones_do(monkeypatch, odd: float) -> None:
-    config, state = worlds(StrombomFlock(), 2, batch=8)
-    command = torch.linspace(-3.0, 3.0, state.shepherds.numel()).reshape(state.shepherds.shape)
-    command[::2, 0, 1] = odd
-    fast, plain = both(monkeypatch, lambda: move(state, command, config))
-    torch.testing.assert_close(fast, plain, atol=1e-6, rtol=1e-6)
-    assert fast.isfinite().all()
+def test_compiled_shepherds_move_as_the_plain_ones_do(monkeypatch) -> None:
+    for odd in [torch.nan, torch.inf, 1e30, 3e38, 1e-30, 0.0]:
+        config, state = worlds(StrombomFlock(), 2, batch=8)
+        command = torch.linspace(-3.0, 3.0, state.shepherds.numel()).reshape(state.shepherds.shape)
+        command[::2, 0, 1] = odd
+        fast, plain = both(monkeypatch, move, state, command, config)
+        torch.testing.assert_close(fast, plain, atol=1e-6, rtol=1e-6)
+        assert fast.isfinite().all()

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product
 import math
 
-import pytest
 from reference import (
     assert_near,
     batch,
@@ -67,17 +66,16 @@ def test_a_sheep_on_the_rim_is_in() -> None:
     assert_near(terms['shaping'], 0.0, 0.0)
 
 
-@pytest.mark.parametrize('one_per_step', [False, True])
-@pytest.mark.parametrize('n', [1, 2, 10, 100, 1000])
-def test_reward_terms_are_those_of_the_reference(n: int, one_per_step: bool) -> None:
-    config = RewardConfig(occupancy=7.0, shaping=-0.3, one_per_step=one_per_step)
-    for seed in range(5):
-        state = make_state(seed, n, 2, spread=10.0, goal_radius=3.0 * (1 + 2 * seed))
-        expected = reward(World.of(state), config, 500)
-        for dtype, tolerance in ((torch.float64, 1e-8), (torch.float32, 1e-6)):
-            terms = reward_terms(state.to(dtype), config, 500)
-            for name, value in expected.items():
-                assert_near(terms[name].double(), value, tolerance)
+def test_reward_terms_are_those_of_the_reference() -> None:
+    for one_per_step, n in product([False, True], [1, 2, 10, 100, 1000]):
+        config = RewardConfig(occupancy=7.0, shaping=-0.3, one_per_step=one_per_step)
+        for seed in range(5):
+            state = make_state(seed, n, 2, spread=10.0, goal_radius=3.0 * (1 + 2 * seed))
+            expected = reward(World.of(state), config, 500)
+            for dtype, tolerance in ((torch.float64, 1e-8), (torch.float32, 1e-6)):
+                terms = reward_terms(state.to(dtype), config, 500)
+                for name, value in expected.items():
+                    assert_near(terms[name].double(), value, tolerance)
 
 
 def test_absent_sheep_earn_nothing_although_they_stand_on_the_goal() -> None:
@@ -220,19 +218,18 @@ def trajectory(seed: int, n: int, m: int, steps: int) -> list[WorldState]:
     return states
 
 
-@pytest.mark.parametrize(
-    ('n', 'm', 'steps'), [(1, 1, 30), (2, 3, 30), (10, 2, 40), (100, 6, 20), (1000, 3, 4)]
-)
-@pytest.mark.parametrize('seed', range(4))
-def test_metrics_are_those_of_the_whole_trajectory(n: int, m: int, steps: int, seed: int) -> None:
-    states = trajectory(seed, n, m, steps)
-    expected = trajectory_metrics([World.of(s) for s in states], 500)
-    assert set(expected) == set(METRICS)
-    got, _ = tell(states, 500)
-    single, _ = tell([s.to(torch.float32) for s in states], 500)
-    for name, value in expected.items():
-        assert_near(got[name].double(), value, 1e-7)
-        assert_near(single[name].double(), value, 1e-3)
+def test_metrics_are_those_of_the_whole_trajectory() -> None:
+    for (n, m, steps), seed in product(
+        [(1, 1, 30), (2, 3, 30), (10, 2, 40), (100, 6, 20), (1000, 3, 4)], range(4)
+    ):
+        states = trajectory(seed, n, m, steps)
+        expected = trajectory_metrics([World.of(s) for s in states], 500)
+        assert set(expected) == set(METRICS)
+        got, _ = tell(states, 500)
+        single, _ = tell([s.to(torch.float32) for s in states], 500)
+        for name, value in expected.items():
+            assert_near(got[name].double(), value, 1e-7)
+            assert_near(single[name].double(), value, 1e-3)
 
 
 def test_some_trajectories_of_the_comparison_complete_and_some_do_not() -> None:

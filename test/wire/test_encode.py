@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 import math
 import struct
 from typing import Any
@@ -81,44 +82,42 @@ def decode_command(raw: bytes) -> tuple[int | None, str, tuple[float, ...]]:
     return ns, frame_id, tuple(velocity.tolist())
 
 
-@pytest.mark.parametrize('frame_id', FRAMES)
-@pytest.mark.parametrize('count', COUNTS)
-def test_rclpy_reads_the_poses_that_we_write(count: int, frame_id: str) -> None:
-    position, heading = flock(count)
-    message = deserialize_message(encode_poses(NS, frame_id, position, heading), PoseArray)
-    assert nanoseconds(message.header.stamp) == NS
-    assert message.header.frame_id == frame_id
-    read = [(p.position.x, p.position.y, p.position.z) for p in message.poses]
-    assert read == [(x, y, 0.0) for x, y in position.tolist()]
-    for pose, (c, s) in zip(message.poses, heading.tolist(), strict=True):
-        q = pose.orientation
-        assert (q.x, q.y) == (0.0, 0.0)
-        assert math.isclose(q.z * q.z + q.w * q.w, 1.0, abs_tol=1e-12)
-        assert abs(2 * math.atan2(q.z, q.w) - math.atan2(s, c)) % (2 * math.pi) < 1e-6
+def test_rclpy_reads_the_poses_that_we_write() -> None:
+    for frame_id, count in product(FRAMES, COUNTS):
+        position, heading = flock(count)
+        message = deserialize_message(encode_poses(NS, frame_id, position, heading), PoseArray)
+        assert nanoseconds(message.header.stamp) == NS
+        assert message.header.frame_id == frame_id
+        read = [(p.position.x, p.position.y, p.position.z) for p in message.poses]
+        assert read == [(x, y, 0.0) for x, y in position.tolist()]
+        for pose, (c, s) in zip(message.poses, heading.tolist(), strict=True):
+            q = pose.orientation
+            assert (q.x, q.y) == (0.0, 0.0)
+            assert math.isclose(q.z * q.z + q.w * q.w, 1.0, abs_tol=1e-12)
+            assert abs(2 * math.atan2(q.z, q.w) - math.atan2(s, c)) % (2 * math.pi) < 1e-6
 
 
-@pytest.mark.parametrize('frame_id', FRAMES)
-@pytest.mark.parametrize('count', COUNTS)
-def test_we_read_the_poses_that_rclpy_writes(count: int, frame_id: str) -> None:
-    position, heading = flock(count)
-    raw = serialize_message(pose_array(position, heading, NS, frame_id))
-    ns, frame, read, way = decode_poses(raw)
-    assert (ns, frame) == (NS, frame_id)
-    assert read.shape == way.shape == (count, 2)
-    assert torch.equal(read, position)
-    assert torch.allclose(way, heading, rtol=0, atol=1e-6)
+def test_we_read_the_poses_that_rclpy_writes() -> None:
+    for frame_id, count in product(FRAMES, COUNTS):
+        position, heading = flock(count)
+        raw = serialize_message(pose_array(position, heading, NS, frame_id))
+        ns, frame, read, way = decode_poses(raw)
+        assert (ns, frame) == (NS, frame_id)
+        assert read.shape == way.shape == (count, 2)
+        assert torch.equal(read, position)
+        assert torch.allclose(way, heading, rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize('count', [0, 1, 3])
-def test_our_bytes_are_those_of_rclpy_apart_from_padding(count: int) -> None:
-    position, heading = flock(count)
-    for frame_id in FRAMES:
-        ours = encode_poses(NS, frame_id, position, heading)
-        message = pose_array(position, heading, NS, frame_id)
-        theirs = serialize_message(message)
-        assert len(ours) - len(theirs) in ({0, 4} if count == 0 else {0}), frame_id
-        assert ours[: 16 + len(frame_id.encode())] == theirs[: 16 + len(frame_id.encode())]
-        assert ours[len(ours) - 56 * count :] == theirs[len(theirs) - 56 * count :]
+def test_our_bytes_are_those_of_rclpy_apart_from_padding() -> None:
+    for count in [0, 1, 3]:
+        position, heading = flock(count)
+        for frame_id in FRAMES:
+            ours = encode_poses(NS, frame_id, position, heading)
+            message = pose_array(position, heading, NS, frame_id)
+            theirs = serialize_message(message)
+            assert len(ours) - len(theirs) in ({0, 4} if count == 0 else {0}), frame_id
+            assert ours[: 16 + len(frame_id.encode())] == theirs[: 16 + len(frame_id.encode())]
+            assert ours[len(ours) - 56 * count :] == theirs[len(theirs) - 56 * count :]
 
 
 def test_poses_of_a_big_endian_machine_are_read_too() -> None:
@@ -207,12 +206,12 @@ def test_nanoseconds_survive_the_way_through_a_stamp(ns: int) -> None:
     assert nanoseconds(stamp(ns)) == ns
 
 
-@pytest.mark.parametrize('frame_id', FRAMES)
-def test_goal_and_command_are_read_whatever_the_length_of_the_frame(frame_id: str) -> None:
-    command = read_back(encode_command(NS, frame_id, 0.25, -0.5), TwistStamped)
-    goal = read_back(encode_goal(NS, frame_id, 3.0, 4.0), PoseStamped)
-    assert (command.header.frame_id, command.twist.linear.y) == (frame_id, -0.5)
-    assert (goal.header.frame_id, goal.pose.position.y) == (frame_id, 4.0)
+def test_goal_and_command_are_read_whatever_the_length_of_the_frame() -> None:
+    for frame_id in FRAMES:
+        command = read_back(encode_command(NS, frame_id, 0.25, -0.5), TwistStamped)
+        goal = read_back(encode_goal(NS, frame_id, 3.0, 4.0), PoseStamped)
+        assert (command.header.frame_id, command.twist.linear.y) == (frame_id, -0.5)
+        assert (goal.header.frame_id, goal.pose.position.y) == (frame_id, 4.0)
 
 
 def test_what_has_no_header_comes_back() -> None:
@@ -229,18 +228,18 @@ def big_endian(frame_id: str, align: int) -> bytes:
     return b'\x00\x00\x00\x00' + head + bytes(-len(head) % align)
 
 
-@pytest.mark.parametrize('frame_id', ['', 'map', 'shepherd_0'])
-def test_commands_and_stamps_are_read_from_both_kinds_of_machine(frame_id: str) -> None:
-    message = TwistStamped()
-    message.header.stamp, message.header.frame_id = stamp(3_500_000_000), frame_id
-    message.twist.linear.x, message.twist.linear.y = 0.25, -0.5
-    expected = 3_500_000_000, frame_id, (0.25, -0.5)
-    assert decode_command(serialize_message(message)) == expected
-    assert decode_command(encode_command(3_500_000_000, frame_id, 0.25, -0.5)) == expected
-    velocity = struct.pack('>6d', 0.25, -0.5, 0.0, 0.0, 0.0, 0.0)
-    assert decode_command(big_endian(frame_id, 8) + velocity) == expected
-    assert decode_stamp(big_endian(frame_id, 8) + velocity) == 3_500_000_000
-    assert decode_stamp(serialize_message(message)) == 3_500_000_000
+def test_commands_and_stamps_are_read_from_both_kinds_of_machine() -> None:
+    for frame_id in ['', 'map', 'shepherd_0']:
+        message = TwistStamped()
+        message.header.stamp, message.header.frame_id = stamp(3_500_000_000), frame_id
+        message.twist.linear.x, message.twist.linear.y = 0.25, -0.5
+        expected = 3_500_000_000, frame_id, (0.25, -0.5)
+        assert decode_command(serialize_message(message)) == expected
+        assert decode_command(encode_command(3_500_000_000, frame_id, 0.25, -0.5)) == expected
+        velocity = struct.pack('>6d', 0.25, -0.5, 0.0, 0.0, 0.0, 0.0)
+        assert decode_command(big_endian(frame_id, 8) + velocity) == expected
+        assert decode_stamp(big_endian(frame_id, 8) + velocity) == 3_500_000_000
+        assert decode_stamp(serialize_message(message)) == 3_500_000_000
 
 
 def test_a_plain_velocity_is_read_from_both_kinds_of_machine() -> None:
