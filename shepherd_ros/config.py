@@ -42,7 +42,7 @@ def choices_of(metadata: Mapping[str, Any]) -> tuple[str, ...]:
 
 def unknown_name(kind: str, name: object, known: list[str] | tuple[str, ...]) -> ConfigError:
     """Return the error for a name that is none of those known, with the nearest one if any."""
-    near = difflib.get_close_matches(str(name), known, n=1)
+    near = difflib.get_close_matches(str(name)[:100], known, n=1)  # a name may be of any length
     hint = f'; did you mean {near[0]!r}?' if near else ''
     return ConfigError(f'{kind} is {name!r}: expected one of {", ".join(known)}{hint}')
 

@@ -99,8 +99,7 @@ class CommandGate:
             ns = command.stamp_ns
             if ns is not None and not self._accepts(shepherd, ns, command.frame_id):
                 return
-            x, y = command.xy.tolist()
-            velocity = x, y
+            velocity = command.x, command.y
             if not all(abs(part) <= MAX_FLOAT32 for part in velocity):
                 self._refuse(
                     'not_finite',

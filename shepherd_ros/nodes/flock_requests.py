@@ -88,7 +88,7 @@ class FlockRequests:
 
     def on_goal_pose(self, pose: Vector) -> None:
         """Move the goal to a published pose, if its frame is the node's."""
-        frame_id, (x, y) = pose.frame_id, pose.xy.tolist()
+        _, frame_id, x, y = pose
         expected, log = self.node.frame_id, self.node.get_logger()
         if frame_id != expected:
             log.warning(

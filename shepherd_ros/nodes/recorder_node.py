@@ -19,7 +19,7 @@ from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.wire.contract import known
-from shepherd_ros.wire.decode import decode_clock, decode_string
+from shepherd_ros.wire.decode import CdrError, decode_clock, decode_string
 from shepherd_ros.wire.episode import Episode
 from shepherd_ros.wire.topics import CLOCK, EPISODE, GOAL
 from std_srvs.srv import Trigger
@@ -97,7 +97,8 @@ class Recorder(ShepherdNode):
         if ours is not None and ours.topic.name == EPISODE:
             self._next_episode(ours.namespace, raw)
         if name == CLOCK:
-            self.clock_ns = decode_clock(raw)
+            with suppress(CdrError):
+                self.clock_ns = max(decode_clock(raw), 0)
         if self.intake.inputs[name].latched:
             self.latched[name] = raw
         if self.recording and self.wanted(name):

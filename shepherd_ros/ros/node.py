@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from importlib import import_module
 import time
@@ -51,6 +52,7 @@ class ShepherdNode(Node):
         super().__init__(name, **kwargs)
         self.bus = bus
         self.finished = False  # a node sets this to end its process
+        self.unreadable: Counter[str] = Counter()  # messages that could not be decoded, by topic
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.frame_id: str = self.option('frame_id', WORLD_FRAME, 'name of the world frame')
         self.executor_kind: str = self.option(
@@ -95,6 +97,7 @@ class ShepherdNode(Node):
             try:
                 content = decode(raw)
             except CdrError as error:
+                self.unreadable[name] += 1
                 self.get_logger().warning(
                     f'{name} has a message that cannot be read ({error}): ignored',
                     throttle_duration_sec=5.0,
@@ -137,6 +140,13 @@ class ShepherdNode(Node):
         """Return what to tell on /diagnostics."""
         return [self.status('node', OK, 'running')]
 
+    def diagnose_inputs(self) -> DiagnosticStatus:
+        """Return what is wrong with messages before anybody looks at what they say."""
+        level, message = OK, 'every message can be read'
+        if self.unreadable:
+            level, message = WARN, 'cannot be read: ' + ', '.join(sorted(self.unreadable))
+        return self.status('inputs', level, message, **self.unreadable)
+
     def status(self, part: str, level: bytes, message: str, **values: Any) -> DiagnosticStatus:
         """Return one status; names are as diagnostic_updater makes them."""
         return DiagnosticStatus(
@@ -149,7 +159,7 @@ class ShepherdNode(Node):
 
     def publish_diagnostics(self) -> None:
         """Publish what diagnose() says; the stamp is wall time, as diagnostics tools expect."""
-        message = DiagnosticArray(status=self.diagnose())
+        message = DiagnosticArray(status=[*self.diagnose(), self.diagnose_inputs()])
         message.header.stamp = Clock(clock_type=ClockType.SYSTEM_TIME).now().to_msg()
         self._diagnostics.publish(message)
 

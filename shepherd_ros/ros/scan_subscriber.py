@@ -8,7 +8,7 @@ import numpy as np
 from rclpy.subscription import Subscription
 from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.sim.lidar import LidarConfig
-from shepherd_ros.wire.decode import CdrError, decode_scan, Scan
+from shepherd_ros.wire.decode import Scan
 from shepherd_ros.wire.topics import scan_topic
 
 THROTTLE = 5.0  # [s] between two warnings
@@ -44,7 +44,7 @@ class ScanListener:
                 self.node.destroy_subscription(subscription)
         for h in [h for h in shepherds if h not in self._inputs]:
             self._inputs[h] = [
-                self.node.listen(scan_topic(channel), self._receiver(h, channel), h, decode=bytes)
+                self.node.listen(scan_topic(channel), self._receiver(h, channel), h)
                 for channel in self.channels
             ]
         self.forget()
@@ -53,13 +53,8 @@ class ScanListener:
         """Start anew with whatever stamp comes next."""
         self._ns, self._parts = -1, {}
 
-    def _receiver(self, shepherd: int, channel: str) -> Callable[[bytes], None]:
-        def receive(raw: bytes) -> None:
-            try:
-                scan = decode_scan(raw)
-            except CdrError as error:
-                self._fault('unreadable', shepherd, channel, str(error))
-                return
+    def _receiver(self, shepherd: int, channel: str) -> Callable[[Scan], None]:
+        def receive(scan: Scan) -> None:
             if scan.stamp_ns != self._ns:
                 self._next(scan.stamp_ns)
             if self._fits(scan, shepherd, channel):

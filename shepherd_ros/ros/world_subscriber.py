@@ -21,7 +21,8 @@ from torch import Tensor
 def _hear(raw: bytes) -> tuple[int, str, Tensor, Tensor, bool]:
     """Return stamp [ns], frame, positions (K, 2) m, headings (K, 2), whether they are finite."""
     ns, frame_id, xy, way = decode_poses(raw)
-    position, heading = xy.astype(np.float32), way.astype(np.float32)
+    with np.errstate(all='ignore'):  # what float32 cannot hold is not finite
+        position, heading = xy.astype(np.float32), way.astype(np.float32)
     finite = bool(np.isfinite(position).all() and np.isfinite(heading).all())
     return ns, frame_id, torch.from_numpy(position), torch.from_numpy(heading), finite
 
@@ -67,8 +68,15 @@ class Listener:
 
     def _on_goal(self, pose: Vector) -> None:
         if self._known_frame(GOAL, pose.frame_id):
-            self.goal = torch.tensor(pose.xy, dtype=torch.float32)
-            self._pair()
+            goal = torch.tensor(pose.xy, dtype=torch.float32)
+            if goal.isfinite().all():
+                self.goal = goal
+                self._pair()
+            else:
+                self.node.get_logger().warning(
+                    f'{GOAL} is {pose.x}, {pose.y}: expected finite numbers, ignored',
+                    throttle_duration_sec=5.0,
+                )
 
     def _on_poses(self, topic: str, poses: tuple[int, str, Tensor, Tensor, bool]) -> None:
         ns, frame_id, position, heading, finite = poses

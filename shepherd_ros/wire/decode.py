@@ -8,6 +8,7 @@ be. Arrays may share the memory of the message and are not to be written to.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
 import struct
 from typing import Any, NamedTuple
 
@@ -17,6 +18,9 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ranges = NDArray[np.float32]
 HEADER = 4  # [bytes] of encapsulation in front of every message
+SECOND = 1_000_000_000  # [ns]
+FRAME = 16  # [bytes] in front of the frame of a std_msgs/Header
+SCAN = 32  # [bytes] of a sensor_msgs/LaserScan from its header to its ranges
 
 
 class CdrError(ValueError):
@@ -38,6 +42,7 @@ class Scan(NamedTuple):
     stamp_ns: int
     frame_id: str
     angle_min: float
+    angle_max: float
     angle_increment: float
     range_min: float
     range_max: float
@@ -45,81 +50,80 @@ class Scan(NamedTuple):
 
 
 class Vector(NamedTuple):
-    """A velocity (2,) m/s or a position (2,) m in the plane; stamp None if it has none."""
+    """A velocity [m/s] or a position [m] in the plane; stamp None if it has none."""
 
     stamp_ns: int | None
     frame_id: str
-    xy: Floats
+    x: float
+    y: float
+
+    @property
+    def xy(self) -> Floats:
+        """Return both as an array (2,)."""
+        return np.array((self.x, self.y))
 
 
-class _Cursor:
-    """Reads one message from its front; offsets count after the encapsulation."""
+class _Order:
+    """What stands in messages of one byte order, ready to be read."""
 
-    def __init__(self, raw: bytes) -> None:
-        if len(raw) < HEADER or raw[0] != 0 or raw[1] > 1:
-            raise CdrError(f'{raw[:HEADER].hex()} in front: expected plain CDR, 00010000')
-        self.raw, self.at, self.order = raw, 0, '<' if raw[1] else '>'
+    def __init__(self, sign: str) -> None:
+        def reader(form: str) -> Callable[[bytes, int], tuple[Any, ...]]:
+            return struct.Struct(sign + form).unpack_from
 
-    def take(self, form: str, size: int) -> tuple[Any, ...]:
-        """Return the numbers of a struct format, aligned to the size of the first [bytes]."""
-        self.at += -self.at % size
-        form = self.order + form
+        self.time, self.header, self.count = reader('iI'), reader('iII'), reader('I')
+        self.pair, self.scan, self.number = reader('2d'), reader('7fI'), reader('d')
+        self.float32, self.float64 = np.dtype(f'{sign}f4'), np.dtype(f'{sign}f8')
+
+
+_ORDERS = {b'\x00\x01': _Order('<'), b'\x00\x00': _Order('>')}  # by what is in front
+
+
+def _checked(read: Callable[[bytes, _Order], Any]) -> Callable[[bytes], Any]:
+    """Return a decoder that raises CdrError where there is less to be read than it takes."""
+
+    @wraps(read)
+    def decode(raw: bytes) -> Any:
         try:
-            values = struct.unpack_from(form, self.raw, HEADER + self.at)
-        except struct.error as error:
-            raise CdrError(f'it ends after {len(self.raw)} bytes') from error
-        self.at += struct.calcsize(form)
-        return values
+            return read(raw, _ORDERS[raw[:2]])
+        except KeyError:
+            why = f'{raw[:HEADER].hex()} in front, expected plain CDR, 00010000'
+        except UnicodeDecodeError:
+            why = 'a text that is no UTF-8'
+        except (struct.error, ValueError) as error:
+            why = f'{len(raw)} bytes, {error}'
+        raise CdrError(why)
 
-    def text(self) -> str:
-        """Return a string."""
-        return self._text(*self.take('I', 4))
-
-    def _text(self, length: int) -> str:
-        start = HEADER + self.at
-        data = self.raw[start : start + length]
-        if len(data) != length:
-            raise CdrError(f'a text of {length} bytes, where {len(data)} are left')
-        self.at += length
-        try:
-            return data.removesuffix(b'\x00').decode()
-        except UnicodeDecodeError as error:
-            raise CdrError('a text that is no UTF-8') from error
-
-    def time(self) -> int:
-        """Return a builtin_interfaces/Time in ns."""
-        sec, nanosec = self.take('iI', 4)
-        return int(sec * 10**9 + nanosec)
-
-    def header(self) -> tuple[int, str]:
-        """Return stamp [ns] and frame of a std_msgs/Header."""
-        sec, nanosec, length = self.take('iII', 4)
-        return sec * 10**9 + nanosec, self._text(length)
-
-    def array(self, kind: str, count: int) -> NDArray[Any]:
-        """Return count numbers as an array, aligned if there are any."""
-        dtype = np.dtype(self.order + kind)
-        if not count:
-            return np.empty(0, dtype)
-        self.at += -self.at % dtype.itemsize
-        if HEADER + self.at + count * dtype.itemsize > len(self.raw):
-            raise CdrError(f'{count} numbers: there are not so many')
-        values = np.frombuffer(self.raw, dtype, count, HEADER + self.at)
-        self.at += count * dtype.itemsize
-        return values
+    return decode
 
 
-def decode_stamp(raw: bytes) -> int:
+def _text(raw: bytes, start: int, length: int) -> str:
+    """Return a text whose first byte is at start."""
+    if start + length > len(raw):
+        raise ValueError(f'a text of {length} bytes, where {len(raw) - start} are left')
+    return raw[start : start + length].removesuffix(b'\x00').decode()
+
+
+def _header(raw: bytes, order: _Order) -> tuple[int, str, int]:
+    """Return stamp [ns], frame and end of a std_msgs/Header."""
+    sec, nanosec, length = order.header(raw, HEADER)
+    return sec * SECOND + nanosec, _text(raw, FRAME, length), FRAME + length
+
+
+@_checked
+def decode_stamp(raw: bytes, order: _Order) -> int:
     """Return the stamp [ns] of a message that begins with a std_msgs/Header or a Time."""
-    return _Cursor(raw).time()
+    sec, nanosec = order.time(raw, HEADER)
+    return int(sec * SECOND + nanosec)
 
 
-def decode_poses(raw: bytes) -> Poses:
+@_checked
+def decode_poses(raw: bytes, order: _Order) -> Poses:
     """Return a geometry_msgs/PoseArray."""
-    cursor = _Cursor(raw)
-    stamp_ns, frame_id = cursor.header()
-    (count,) = cursor.take('I', 4)
-    poses = cursor.array('f8', 7 * count).reshape(count, 7)
+    stamp_ns, frame_id, at = _header(raw, order)
+    at += -at % 4
+    (count,) = order.count(raw, at)
+    at += 4 + -at % 8 if count else 0  # offsets count after four bytes of encapsulation
+    poses = np.frombuffer(raw, order.float64, 7 * count, at).reshape(count, 7)
     heading = np.empty((count, 2))
     x, y, z, w = np.ascontiguousarray(poses[:, 3:].T)
     with np.errstate(all='ignore'):  # a quaternion may be anything
@@ -128,50 +132,47 @@ def decode_poses(raw: bytes) -> Poses:
     return Poses(stamp_ns, frame_id, poses[:, :2].astype(np.float64), heading)
 
 
-def decode_scan(raw: bytes) -> Scan:
+@_checked
+def decode_scan(raw: bytes, order: _Order) -> Scan:
     """Return a sensor_msgs/LaserScan."""
-    cursor = _Cursor(raw)
-    stamp_ns, frame_id = cursor.header()
-    start, _, increment, _, _, low, high, count = cursor.take('7fI', 4)
-    ranges = cursor.array('f4', count).astype(np.float32, copy=False)
-    return Scan(stamp_ns, frame_id, start, increment, low, high, ranges)
+    stamp_ns, frame_id, at = _header(raw, order)
+    at += -at % 4
+    start, end, increment, _, _, low, high, count = order.scan(raw, at)
+    ranges = np.frombuffer(raw, order.float32, count, at + SCAN)
+    ranges = ranges.astype(np.float32, copy=False)
+    return Scan(stamp_ns, frame_id, start, end, increment, low, high, ranges)
 
 
-def _plane(cursor: _Cursor) -> Floats:
-    return np.array(cursor.take('2d', 8), np.float64)
-
-
-def decode_twist_stamped(raw: bytes) -> Vector:
+@_checked
+def decode_twist_stamped(raw: bytes, order: _Order) -> Vector:
     """Return the velocity in the plane of a geometry_msgs/TwistStamped."""
-    cursor = _Cursor(raw)
-    stamp_ns, frame_id = cursor.header()
-    return Vector(stamp_ns, frame_id, _plane(cursor))
+    sec, nanosec, length = order.header(raw, HEADER)  # once for each command: no further calls
+    at = FRAME + length
+    x, y = order.pair(raw, at + (HEADER - at) % 8)
+    frame_id = raw[FRAME:at].removesuffix(b'\x00').decode()
+    return Vector(sec * SECOND + nanosec, frame_id, x, y)
 
 
-def decode_twist(raw: bytes) -> Vector:
+@_checked
+def decode_twist(raw: bytes, order: _Order) -> Vector:
     """Return the velocity in the plane of a geometry_msgs/Twist, which has no stamp."""
-    return Vector(None, '', _plane(_Cursor(raw)))
+    return Vector(None, '', *order.pair(raw, HEADER))
 
 
-def decode_pose_stamped(raw: bytes) -> Vector:
-    """Return the position in the plane of a geometry_msgs/PoseStamped."""
-    return decode_twist_stamped(raw)  # they begin alike: header, then x and y in float64
-
-
-def decode_string(raw: bytes) -> str:
+@_checked
+def decode_string(raw: bytes, order: _Order) -> str:
     """Return the text of a std_msgs/String."""
-    return _Cursor(raw).text()
+    return _text(raw, HEADER + 4, *order.count(raw, HEADER))
 
 
-def decode_clock(raw: bytes) -> int:
-    """Return the time [ns] of a rosgraph_msgs/Clock."""
-    return _Cursor(raw).time()
-
-
-def decode_float64(raw: bytes) -> float:
+@_checked
+def decode_float64(raw: bytes, order: _Order) -> float:
     """Return the number of a std_msgs/Float64."""
-    return float(_Cursor(raw).take('d', 8)[0])
+    return float(order.number(raw, HEADER)[0])
 
+
+decode_clock = decode_stamp  # a rosgraph_msgs/Clock is a Time
+decode_pose_stamped = decode_twist_stamped  # they begin alike: header, then x and y in float64
 
 DECODERS: dict[str, Callable[[bytes], Any]] = {
     'geometry_msgs/msg/PoseArray': decode_poses,

@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass
 import json
+import math
+import re
 from typing import Any
 
 from shepherd_ros import __version__
-from shepherd_ros.config import checked, ConfigError, mapping
-from shepherd_ros.sim.limits import MAX_DT, MAX_SHEEP, MAX_SHEPHERDS, MAX_STEPS, MIN_DT
+from shepherd_ros.config import checked, ConfigError, mapping, unknown_name
+from shepherd_ros.sim.limits import (
+    MAX_DT,
+    MAX_FLOAT32,
+    MAX_SHEEP,
+    MAX_SHEPHERDS,
+    MAX_STEPS,
+    MIN_DT,
+)
 
 SCHEMA = 1
 MODES = ('lockstep', 'realtime')
 SECOND = 1_000_000_000  # [ns]
-INT64 = {'low': -(2**63), 'high': 2**63 - 1}
+INT64 = 2**63 - 1
 FIELDS: dict[str, tuple[Any, dict[str, Any]]] = {  # an example and the limits
-    'number': (0, INT64),
-    'seed': (0, INT64),
+    'number': (0, {'low': 0, 'high': INT64}),
+    'seed': (0, {'low': -INT64 - 1, 'high': INT64}),
     'n_sheep': (100, {'low': 1, 'high': MAX_SHEEP}),
     'n_shepherds': (3, {'low': 1, 'high': MAX_SHEPHERDS}),
-    'goal_radius': (4.0, {'low': 0.0}),
+    'goal_radius': (4.0, {'low': math.ulp(0.0), 'high': MAX_FLOAT32}),
     'frame_id': ('map', {}),
     'mode': ('lockstep', {'choices': MODES}),
     'version': (__version__, {}),
 }
-START = {'sec': (0, {'low': 0, 'high': 2**32}), 'nanosec': (0, {'low': 0, 'high': SECOND - 1})}
+START = {'sec': (0, {'low': 0, 'high': 2**31 - 1}), 'nanosec': (0, {'low': 0, 'high': SECOND - 1})}
 WORLD = {
     'dt': (0.5, {'low': MIN_DT, 'high': MAX_DT}),
     'episode_steps': (1000, {'low': 1, 'high': MAX_STEPS}),
@@ -88,23 +97,31 @@ class Episode:
         checked, the rest by WorldConfig.from_dict().
         """
         try:
-            data = {**defaults, **mapping('episode', json.loads(text))}
-            if data['schema'] != SCHEMA:
-                raise ConfigError(f'schema is {data["schema"]}: expected {SCHEMA}')
-            about = _read(data, FIELDS)
-            start = _read(mapping('start', data['start']), START)
+            data = mapping('episode', json.loads(text))
+            _expect(data, FIELDS.keys() | {'schema', 'start', 'world'})
+            if data['schema'] is True or data['schema'] != SCHEMA:
+                raise ConfigError(f'schema is {data["schema"]!r}: expected {SCHEMA}')
+            given = {n: FIELDS[n] for n in FIELDS if n in data or n not in defaults}
+            about = defaults | _read(data, given)
+            start = _read(_expect(mapping('start', data['start']), START.keys()), START)
             world = dict(mapping('world', data['world']))
-            return cls(
-                start_ns=start['sec'] * SECOND + start['nanosec'],
-                world=world | _read(world, WORLD),
-                **about,
-            )
+            world |= _read(world, WORLD)
+            if not (about['frame_id'] and re.match('[0-9]+[.][0-9]+[.][0-9]+', about['version'])):
+                raise ConfigError('frame_id or version is empty: expected names')
+            return cls(start_ns=start['sec'] * SECOND + start['nanosec'], world=world, **about)
         except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-            why = str(error) if isinstance(error, ConfigError) else f'{error!r:.80}'
+            why = str(error) if isinstance(error, ConfigError) else repr(error)
             raise ConfigError(
-                f'episode {text[:60]!r} cannot be read ({why}): expected JSON as in '
+                f'episode {text[:60]!r} cannot be read ({why:.200}): expected JSON as in '
                 'msg_schemas/episode.schema.json'
             ) from error
+
+
+def _expect(data: Mapping[str, Any], names: Set[str]) -> Mapping[str, Any]:
+    """Return data if it has no other names, else raise ConfigError."""
+    for name in data.keys() - names:
+        raise unknown_name('field', name, sorted(names))
+    return data
 
 
 def _read(data: Mapping[str, Any], fields: Mapping[str, Any]) -> dict[str, Any]:

@@ -78,8 +78,8 @@ def decode_poses(raw: bytes) -> tuple[int, str, Tensor, Tensor]:
 
 def decode_command(raw: bytes) -> tuple[int | None, str, tuple[float, ...]]:
     """Return stamp [ns], frame and velocity of a TwistStamped."""
-    ns, frame_id, velocity = decode_twist_stamped(raw)
-    return ns, frame_id, tuple(velocity.tolist())
+    ns, frame_id, *velocity = decode_twist_stamped(raw)
+    return ns, frame_id, tuple(velocity)
 
 
 def test_rclpy_reads_the_poses_that_we_write() -> None:

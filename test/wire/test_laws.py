@@ -44,14 +44,15 @@ def poses(ns: int, frame_id: str, rows: list[tuple[float, float, float]]) -> tup
 
 def scan(ns: int, frame_id: str, ranges: list[float], most: float) -> tuple[bytes, Scan]:
     """Return a scan as CDR, and what it says."""
-    array, pitch = np.array(ranges, np.float32), float(np.float32(2 * np.pi / len(ranges)))
-    content = Scan(ns, frame_id, 0.0, pitch, 0.0, most, array)
+    array, pitch = np.array(ranges, np.float32), 2 * np.pi / len(ranges)
+    last, pitch = float(np.float32((len(ranges) - 1) * pitch)), float(np.float32(pitch))
+    content = Scan(ns, frame_id, 0.0, last, pitch, 0.0, most, array)
     return encode_scan(ns, frame_id, array, most, 0.5), content
 
 
 def vector(ns: int | None, frame_id: str, x: float, y: float) -> Vector:
     """Return a vector in the plane."""
-    return Vector(ns, frame_id, np.array([x, y]))
+    return Vector(ns, frame_id, x, y)
 
 
 XY = (NUMBER, NUMBER)
