@@ -7,12 +7,20 @@ Arguments: ros2 launch shepherd_ros replay.launch.py --show-args
 from launch import LaunchContext, LaunchDescription
 from launch.action import Action
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown, TimerAction
+from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from shepherd_ros.bringup import commanded, controller_process, REPLAY_ARGUMENTS, replay_values
+from shepherd_ros.bringup import controller_process
+from shepherd_ros.launch_arguments import REPLAY_ARGUMENTS, replay_values, require_success
 from shepherd_ros.resources import share_file
 from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.wire.topics import renamed_topics
+
+
+def on_exit(event: ProcessExited, context: LaunchContext) -> list[Action]:
+    """End all when the bag has ended, or with exit code 1 when a node has failed."""
+    require_success(event.process_name, event.returncode)
+    return [Shutdown()] if event.process_name.startswith('player') else []
 
 
 def nodes(context: LaunchContext) -> list[Action]:
@@ -25,13 +33,11 @@ def nodes(context: LaunchContext) -> list[Action]:
         arguments=values.player,
         remappings=values.remaps,
         output='screen',
-        on_exit=Shutdown(),
+        on_exit=on_exit,
     )
     actions: list[Action] = [TimerAction(period=values.delay, actions=[player])]
     if values.controller:
-        process = controller_process(
-            values.controller, commanded(values.controller, values.n_shepherds)
-        )
+        process = controller_process(values.controller, {})
         actions.append(
             Node(
                 package='shepherd_ros',
@@ -40,6 +46,7 @@ def nodes(context: LaunchContext) -> list[Action]:
                 namespace=values.namespace,
                 parameters=[part for part in (process.parameters, values.params_file) if part],
                 output='screen',
+                on_exit=on_exit,
             )
         )
     if values.rviz:

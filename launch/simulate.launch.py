@@ -7,11 +7,19 @@ Arguments: ros2 launch shepherd_ros simulate.launch.py --show-args
 from launch import LaunchContext, LaunchDescription
 from launch.action import Action
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from shepherd_ros.bringup import LAUNCH_ARGUMENTS, launch_values, stack_in
+from shepherd_ros.bringup import Process, stack_in
+from shepherd_ros.launch_arguments import LAUNCH_ARGUMENTS, launch_values, require_success
 from shepherd_ros.resources import share_file
 from shepherd_ros.wire.topics import renamed_topics
+
+
+def on_exit(event: ProcessExited, context: LaunchContext) -> list[Action]:
+    """End all when the world has ended, or with exit code 1 when a node has failed."""
+    require_success(event.process_name, event.returncode)
+    return [Shutdown()] if event.process_name.startswith('flock_sim') else []
 
 
 def nodes(context: LaunchContext) -> list[Action]:
@@ -19,6 +27,9 @@ def nodes(context: LaunchContext) -> list[Action]:
     given = {name: LaunchConfiguration(name).perform(context) for name in LAUNCH_ARGUMENTS}
     values = launch_values(given)
     stack = stack_in(values.setting, values.controller, **values.flock_sim)
+    if values.record:
+        stack.insert(0, Process('recorder', 'recorder'))
+    words = {'recorder': ['--output', values.record]}
     files = [values.params_file] if values.params_file else []
     actions: list[Action] = [
         Node(
@@ -27,8 +38,9 @@ def nodes(context: LaunchContext) -> list[Action]:
             name=process.name,
             namespace=values.namespace,
             parameters=[process.parameters, *files],
+            arguments=words.get(process.name),
             output='screen',
-            on_exit=Shutdown() if process.name == 'flock_sim' else None,
+            on_exit=on_exit,
         )
         for process in stack
     ]

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
-from shepherd_ros.config import ConfigError, read
-from shepherd_ros.experiments.setting import changes_of, Setting, settled
+from shepherd_ros.config import ConfigError
+from shepherd_ros.experiments.setting import changes_of, env_config, Setting, settled
 
 
 @dataclass(frozen=True)
@@ -22,11 +22,11 @@ class Process:
         """Return the words after the executable on a command line."""
         words = ['--ros-args', '-r', f'__node:={self.name}']
         for key, value in self.parameters.items():
-            words += ['-p', f'{key}:={_yaml(value)}']
+            words += ['-p', f'{key}:={word_of(value)}']
         return words
 
 
-def _yaml(value: Any) -> str:
+def word_of(value: Any) -> str:
     """Return a parameter as ROS reads it on a command line."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 
@@ -43,7 +43,7 @@ def herding_stack(
     changes are options of the environment by path; ConfigError for those that no node has.
     """
     model = flock_sim.get('flock', 'strombom')
-    world, lidar, own = {}, {}, commanded(controller, n_shepherds, flock_sim)
+    world, lidar, own = {}, {}, controller_process(controller, flock_sim)
     for path, value in (changes or {}).items():
         room, _, name = path.partition('.')
         if room == 'world':
@@ -53,8 +53,8 @@ def herding_stack(
             lidar[name or path] = value
         else:
             raise ConfigError(f'{path} is {value}: expected its default, as no node has it')
-        if path == 'noise_std' and controller != 'policy':  # which sees with the lidars
-            own[path] = value
+        if path == 'noise_std' and own.executable != 'policy':  # which sees with the lidars
+            own.parameters[path] = value
     return [
         Process('flock_sim', 'flock_sim', {'n_shepherds': n_shepherds, **world, **flock_sim}),
         *(
@@ -62,149 +62,51 @@ def herding_stack(
             for h in range(n_shepherds)
         ),
         Process('metrics', 'metrics'),
-        controller_process(controller, own),
+        own,
     ]
 
 
-def controller_process(name: str, parameters: Mapping[str, Any]) -> Process:
-    """Return the process of a controller, or raise ConfigError."""
-    from shepherd_ros.controllers import CONTROLLERS  # with torch, which takes a second
+def controller_process(word: str, flock_sim: Mapping[str, Any], **own: Any) -> Process:
+    """
+    Return the process of a controller by its word, or raise ConfigError.
 
+    flock_sim are parameters of the world: a heuristic has its preset, and a policy of which the
+    word names no checkpoint is that for its flock model.
+    """
+    from shepherd_ros.controllers import CONTROLLERS  # with torch, which takes a second
+    from shepherd_ros.experiments.methods import parted
+    from shepherd_ros.sim.flocking import FLOCK_MODELS
+
+    name, checkpoint = parted(word)
     executable = CONTROLLERS[name].executable
-    which = {} if executable == name else {'controller': name}
-    return Process(executable, name, {**which, **parameters})
+    given = {} if executable == name else {'controller': name}
+    if name == 'policy':
+        model = FLOCK_MODELS[flock_sim.get('flock', 'strombom')]
+        given['checkpoint'] = checkpoint or model.config.checkpoint
+    elif 'preset' in flock_sim:
+        given['preset'] = flock_sim['preset']
+    return Process(executable, name, given | own)
 
 
 def stack_in(setting: Setting, controller: str, **flock_sim: Any) -> list[Process]:
-    """Return the stack of a controller in a setting, or raise ConfigError."""
+    """Return the stack of a controller in a setting that it can herd in, or raise ConfigError."""
     setting = settled(setting)
     changes = changes_of(setting)
     flock_sim = {'flock': setting.flock, 'preset': setting.preset, **flock_sim}
-    return herding_stack(controller, setting.shepherds, changes, **flock_sim)
+    stack = herding_stack(controller, setting.shepherds, changes, **flock_sim)
+    checkpoint = stack[-1].parameters.get('checkpoint')
+    if checkpoint:
+        _require_fit(checkpoint, setting)
+    return stack
 
 
-def commanded(
-    controller: str, n_shepherds: int, flock_sim: Mapping[str, Any] | None = None
-) -> dict[str, Any]:
-    """
-    Return the parameters with which a controller commands a whole team; most need none.
+def _require_fit(checkpoint: str, setting: Setting) -> None:
+    """Raise ConfigError unless a policy knows the time step and the rays of a setting."""
+    from shepherd_ros.controllers.policy import require_same_world
+    from shepherd_ros.experiments.methods import loaded
 
-    flock_sim are parameters of the world: a policy is that for its flock model, a heuristic has
-    its preset.
-    """
-    world = flock_sim or {}
-    if controller != 'policy':
-        return {'preset': world['preset']} if 'preset' in world else {}
-    from shepherd_ros.sim.flocking import FLOCK_MODELS  # with torch, which takes a second
-
-    checkpoint = FLOCK_MODELS[world.get('flock', 'strombom')].config.checkpoint
-    return {'shepherd_ids': list(range(n_shepherds)), 'checkpoint': checkpoint}
-
-
-# argument of the launch file -> field of the setting; an argument is called as the parameter is
-_OF_SETTING = {
-    f.metadata.get('path', '').rpartition('.')[2] or f.name: f
-    for f in fields(Setting)
-    if f.name not in ('any_dt', 'set')
-}
-# name -> default and description; empty means that the node's own default holds
-LAUNCH_ARGUMENTS: dict[str, tuple[str, str]] = {
-    'controller': ('strombom', 'a controller by its name; a wrong one shows all of them'),
-    **{name: (_yaml(f.default), f.metadata['doc']) for name, f in _OF_SETTING.items()},
-    'set': ('', 'other options of the environment, such as "world.dt=0.2 lidar.range_noise=0.1"'),
-    'mode': ('lockstep', 'lockstep or realtime'),
-    'rate': ('0.0', 'realtime: steps per second of wall time; 0: 1/dt'),
-    'seed': ('0', 'seed of the first episode'),
-    'episodes': ('0', 'episodes to run; 0: without end'),
-    'params_file': ('', 'YAML file with parameters, which win over the arguments'),
-    'namespace': ('', 'namespace of all nodes'),
-    'rviz': ('false', 'also start RViz: true or false'),
-}
-
-
-@dataclass(frozen=True)
-class LaunchValues:
-    """The arguments of the launch file in their types."""
-
-    controller: str
-    setting: Setting
-    flock_sim: dict[str, Any]
-    params_file: str
-    namespace: str
-    rviz: bool
-
-
-def launch_values(given: dict[str, str]) -> LaunchValues:
-    """Return the arguments of the launch file in their types, or raise ConfigError."""
-    named = {f.name: read(name, given[name], f.default) for name, f in _OF_SETTING.items()}
-    return LaunchValues(
-        controller=given['controller'],
-        setting=settled(Setting(**named, set=tuple(given['set'].split()))),
-        flock_sim={
-            **{name: read(name, given[name], 0) for name in ('seed', 'episodes')},
-            'mode': given['mode'],
-            'rate': read('rate', given['rate'], 0.0),
-        },
-        params_file=given['params_file'],
-        namespace=given['namespace'],
-        rviz=read('rviz', given['rviz'], False),
-    )
-
-
-REPLAY_ARGUMENTS: dict[str, tuple[str, str]] = {
-    'bag': ('', 'folder of a bag, or one .mcap file'),
-    'rate': ('1.0', 'pace; 2.0 is twice as fast'),
-    'loop': ('false', 'begin anew at the end: true or false'),
-    'controller': ('', 'controller that answers instead of the recorded one; empty: none does'),
-    'delay': ('5.0', 'seconds that the controller gets to start before the bag is played'),
-    'params_file': ('', 'YAML file with parameters of the controller'),
-    'namespace': ('', 'namespace of all topics; empty: that of the recording'),
-    'rviz': ('false', 'also start RViz: true or false'),
-}
-
-
-@dataclass(frozen=True)
-class ReplayValues:
-    """What the launch file starts to play a bag."""
-
-    player: list[str]  # words of its command line
-    remaps: list[tuple[str, str]]  # of the player
-    delay: float  # [s] before the player is started
-    controller: str
-    n_shepherds: int
-    params_file: str
-    namespace: str
-    rviz: bool
-
-
-def replay_values(given: dict[str, str], topics: list[str]) -> ReplayValues:
-    """
-    Return the arguments of the launch file with what follows from the topics of the bag.
-
-    With a controller, recorded commands are not played. Raises ConfigError.
-    """
-    recorded = next((n.removesuffix('/episode') for n in topics if n.endswith('/episode')), '')
-    space = given['namespace'].strip('/')
-    remaps = [
-        (name, f'/{space}{name.removeprefix(recorded)}')
-        for name in topics
-        if space and name.startswith(f'{recorded}/') and name not in ('/clock', '/diagnostics')
-    ]
-    rate, delay = (
-        read(name, given[name], float(REPLAY_ARGUMENTS[name][0])) for name in ('rate', 'delay')
-    )
-    words = [given['bag'], '--rate', str(rate)]
-    words += ['--loop'] if read('loop', given['loop'], False) else []
-    commands = [name for name in topics if name.endswith('/cmd_vel')]
-    if given['controller']:
-        words += ['--topics', *(name for name in topics if name not in commands)]
-    return ReplayValues(
-        player=words,
-        remaps=remaps,
-        delay=delay if given['controller'] else 0.0,
-        controller=given['controller'],
-        n_shepherds=len(commands),
-        params_file=given['params_file'],
-        namespace=space or recorded.strip('/'),
-        rviz=read('rviz', given['rviz'], False),
-    )
+    config, policy = env_config(setting), loaded(checkpoint)
+    require_same_world(policy, config.world)
+    rays = policy.config.lidar.n_rays
+    if config.lidar.n_rays != rays:
+        raise ConfigError(f'rays is {config.lidar.n_rays}: expected {rays}, as in training')

@@ -8,6 +8,16 @@ import sys
 PACKAGE = 'shepherd_ros'
 
 
+def is_installed(package: str) -> bool:
+    """Return whether a package of ROS is in the ament index."""
+    try:
+        from ament_index_python.packages import get_package_prefix
+
+        return bool(get_package_prefix(package))
+    except (ImportError, LookupError, OSError):  # no ROS, no such package, no AMENT_PREFIX_PATH
+        return False
+
+
 def share_file(*parts: str) -> Path:
     """
     Return the path of a shared file: in the checkout, the ament index, or beside this Python.

@@ -7,20 +7,19 @@ from pathlib import Path
 import pytest
 import rclpy
 from rclpy.context import Context
-from shepherd_ros.bringup import (
-    commanded,
-    herding_stack,
+from shepherd_ros.bringup import controller_process, herding_stack, stack_in
+from shepherd_ros.cli import main
+from shepherd_ros.config import ConfigError
+from shepherd_ros.experiments.methods import make_method
+from shepherd_ros.experiments.setting import Setting, settled
+from shepherd_ros.launch_arguments import (
     LAUNCH_ARGUMENTS,
     launch_values,
     REPLAY_ARGUMENTS,
     replay_values,
     ReplayValues,
-    stack_in,
+    require_success,
 )
-from shepherd_ros.cli import main
-from shepherd_ros.config import ConfigError
-from shepherd_ros.experiments.methods import make_method
-from shepherd_ros.experiments.setting import Setting, settled
 from shepherd_ros.nodes.compose import NODES
 from shepherd_ros.nodes.herd_node import HerdOptions
 from shepherd_ros.policy.checkpoint import shipped_checkpoints
@@ -61,9 +60,10 @@ def test_heuristics_of_a_stack_have_the_options_of_its_preset(controller: str) -
 
 def test_the_stack_has_a_lidar_for_each_shepherd_and_distinct_names() -> None:
     (learned,) = [p for p in herding_stack('policy', 2) if p.name == 'policy']
-    # its own default is the first shepherd alone
-    assert learned.parameters == {'shepherd_ids': [0, 1], 'checkpoint': 'imitation'}
-    assert commanded('policy', 1, {'flock': 'reynolds'})['checkpoint'] == 'reynolds'
+    assert learned.parameters == {'checkpoint': 'imitation'}  # its default is all shepherds
+    of_reynolds = controller_process('policy', {'flock': 'reynolds'})
+    assert of_reynolds.parameters['checkpoint'] == 'reynolds'
+    assert controller_process('policy:general', {}).parameters['checkpoint'] == 'general'
     assert FlockConfig.checkpoint == 'imitation'  # of a new model
     assert {m.config.checkpoint for m in FLOCK_MODELS.values()} <= set(shipped_checkpoints())
     stack = herding_stack('pierson', 5, n_sheep=7, wait_for_scans=True)
@@ -126,6 +126,15 @@ def test_a_viewer_of_a_stack_in_a_namespace_gets_its_topics() -> None:
         ({'n_sheep': 'many'}, "n_sheep is 'many': expected int, such as 100"),
         ({'rate': 'fast'}, "rate is 'fast': expected float"),
         ({'rviz': 'yes'}, "rviz is 'yes': expected true or false"),
+        ({'rviz': 'true'}, 'expected false, as rviz2 is not installed'),
+        ({'mode': 'fast'}, "mode is 'fast': expected one of lockstep, realtime"),
+        ({'seed': str(2**70)}, 'seed is 1180591620717411303424: expected a value in'),
+        ({'preset': 'papr'}, "did you mean 'paper'"),
+        ({'params_file': '/nowhere.yaml'}, 'params_file is /nowhere.yaml: expected a YAML file'),
+        ({'params_file': str(ROOT / 'LICENSE')}, 'expected a'),
+        ({'record': str(ROOT)}, 'expected a folder that is not there yet'),
+        ({'namespace': '1farm'}, "namespace is '1farm': expected letters"),
+        ({'checkpoint': 'general'}, "checkpoint is 'general': expected none with controller"),
     ],
 )
 def test_a_bad_launch_argument_is_named(given: dict[str, str], message: str) -> None:
@@ -134,10 +143,34 @@ def test_a_bad_launch_argument_is_named(given: dict[str, str], message: str) -> 
 
 
 @pytest.mark.parametrize(
+    ('given', 'message'),
+    [
+        ({'controller': 'nonsense'}, "controller is 'nonsense': expected one of"),
+        ({'controller': 'pierson:general'}, 'expected a checkpoint only after policy:'),
+        ({'controller': 'policy', 'checkpoint': 'nowhere'}, "checkpoint is 'nowhere': expected a"),
+        ({'controller': 'policy', 'preset': 'fine_dt'}, 'dt is 0.1 s: expected 0.5 s'),
+    ],
+)
+def test_a_controller_that_cannot_herd_there_is_named_before_any_process_starts(
+    given: dict[str, str], message: str
+) -> None:
+    values = launch_values(DEFAULTS | given)
+    with pytest.raises(ConfigError, match=message):
+        stack_in(values.setting, values.controller, **values.flock_sim)
+
+
+def test_a_launch_ends_with_the_failure_of_a_node() -> None:
+    require_success('lidar-3', 0)
+    require_success('lidar-3', -9)  # ended by somebody
+    with pytest.raises(ConfigError, match='lidar-3 ended with exit code 2'):
+        require_success('lidar-3', 2)
+
+
+@pytest.mark.parametrize(
     ('file', 'used'),
     [
-        ('simulate', {'LAUNCH_ARGUMENTS', 'launch_values', 'stack_in'}),
-        ('replay', {'REPLAY_ARGUMENTS', 'replay_values'}),
+        ('simulate', {'LAUNCH_ARGUMENTS', 'launch_values', 'stack_in', 'require_success'}),
+        ('replay', {'REPLAY_ARGUMENTS', 'replay_values', 'require_success'}),
     ],
 )
 def test_the_launch_file_declares_the_arguments_and_reads_them_from_the_stack(
@@ -213,7 +246,7 @@ def test_a_bad_argument_of_the_replay_is_named(given: dict[str, str], message: s
         (['demo', '--preset', 'fine_dt'], 'dt is 0.1 s: expected 0.5 s'),
         (['demo', '--sheep', '0'], 'n_sheep is 0: expected a value in'),
         (['demo', '--set', 'reward.shaping=1'], 'reward.shaping is 1.0: expected its default'),
-        (['demo', '--rays', '64'], '--rays is 64: expected 512, as in training'),
+        (['demo', '--rays', '64'], 'rays is 64: expected 512, as in training'),
         (['demo', '--animation', 'avi'], "--animation is 'avi': expected gif, mp4 or none"),
         (['evaluate', '9'], "experiment is '9': expected one of"),
     ],

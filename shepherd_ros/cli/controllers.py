@@ -53,7 +53,7 @@ class Chosen:
         """Return its process, with parameters that its own win over."""
         given = {**parameters, **self.parameters}
         if self.of_core:
-            return controller_process(self.name, given)
+            return controller_process(self.name, {}, **given)
         return Process(self.name, self.name, given)
 
     def make(self, world: WorldConfig) -> Controller:
@@ -67,9 +67,12 @@ def chosen(name: str, words: Sequence[str], params_file: Path | None) -> Chosen:
     """
     Return a controller with the parameters of a file, then those of words such as gain:=0.1.
 
-    A file is one of ROS 2; what it says of other nodes does not count. Raises UserError.
+    policy:CHECKPOINT is a policy with that parameter. A file is one of ROS 2; what it says of
+    other nodes does not count. Raises UserError.
     """
+    name, _, checkpoint = name.partition(':')
     parameters = {} if params_file is None else _of_file(name, params_file)
+    parameters |= {'checkpoint': checkpoint} if checkpoint else {}
     for word in words:
         key, given, value = word.partition(':=')
         try:

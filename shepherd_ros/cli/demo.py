@@ -29,7 +29,7 @@ class Demo(OneSetting):
     """Herd a flock over ROS 2 topics with separate processes; draw what happened."""
 
     controller: str = 'policy'
-    """Controller that commands the shepherds; a wrong name shows all of them."""
+    """Controller that commands, or policy:CHECKPOINT; a wrong name shows all of them."""
     seed: int = 0
     """Seed of the episode."""
     out: Path = Path('out/demo')
@@ -58,21 +58,8 @@ class Demo(OneSetting):
 
     def _check(self) -> Setting:
         """Return the setting; refuse what no process could do, before any is started."""
-        from shepherd_ros.controllers import CONTROLLERS
-        from shepherd_ros.controllers.policy import require_same_world
-        from shepherd_ros.experiments.setting import env_config, settled
-        from shepherd_ros.policy.checkpoint import load_policy
+        from shepherd_ros.experiments.setting import settled
 
-        CONTROLLERS[self.controller]
-        config = env_config(self.setting)
-        if self.controller == 'policy':  # it may have been trained with another time step
-            policy = load_policy(config.world.flock.checkpoint)
-            require_same_world(policy, config.world)
-            rays = policy.config.lidar.n_rays
-            if config.lidar.n_rays != rays:
-                raise UserError(
-                    f'--rays is {config.lidar.n_rays}: expected {rays}, as in training'
-                )
         if self.animation not in ('gif', 'mp4', 'none'):
             raise UserError(f'--animation is {self.animation!r}: expected gif, mp4 or none')
         return settled(self.setting)

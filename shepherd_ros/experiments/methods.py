@@ -24,16 +24,22 @@ from torch import Tensor
 POLICY = LearnedController.name
 
 
-def full_name(name: str) -> str:
-    """Return the name with its checkpoint: policy is policy:imitation; or raise ConfigError."""
-    kind, colon, checkpoint = name.partition(':')
-    if CONTROLLERS[kind].name != POLICY:
-        if colon:
-            raise ConfigError(f'controller is {name!r}: expected a checkpoint only after policy:')
+def parted(word: str) -> tuple[str, str]:
+    """Return controller and checkpoint, which may be empty, of a word; or raise ConfigError."""
+    kind, colon, checkpoint = word.partition(':')
+    if CONTROLLERS[kind].name != POLICY and colon:
+        raise ConfigError(f'controller is {word!r}: expected a checkpoint only after policy:')
+    if checkpoint:
+        checkpoint_file(checkpoint)
+    return kind, checkpoint
+
+
+def full_name(word: str) -> str:
+    """Return the word with its checkpoint: policy is policy:imitation; or raise ConfigError."""
+    kind, checkpoint = parted(word)
+    if kind != POLICY:
         return kind
-    checkpoint = checkpoint or LearnedConfig().checkpoint
-    checkpoint_file(checkpoint)
-    return f'{POLICY}:{checkpoint}'
+    return f'{POLICY}:{checkpoint or LearnedConfig().checkpoint}'
 
 
 def checkpoint_of(name: str) -> str:

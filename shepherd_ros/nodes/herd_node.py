@@ -23,7 +23,7 @@ class HerdOptions(OneSetting):
     """
 
     controller: str = 'policy'
-    """Controller that commands; a wrong name shows all of them."""
+    """Controller that commands, or policy:CHECKPOINT; a wrong name shows all of them."""
     mode: Literal['lockstep', 'realtime'] = 'lockstep'
     """How the world advances."""
     rate: float = 0.0

@@ -26,6 +26,7 @@ from shepherd_ros.wire.topics import COMMANDS
 import torch
 from torch import Tensor
 
+ALL = -1  # in shepherd_ids
 TIMED = 1000  # last answers whose latency is kept
 PATIENCE = 1.0  # [s] without a whole scan until it is asked which channels there are
 
@@ -39,12 +40,13 @@ class PolicyNode(ShepherdNode):
         torch.set_num_threads(1)
         self.options = declare_config(self, LearnedConfig())
         self.shepherd_ids: list[int] = self.option(
-            'shepherd_ids', [0], 'shepherds to command, each by its own scans'
+            'shepherd_ids', [ALL], 'shepherds to command, each by its own scans; [-1]: all'
         )
-        if min(self.shepherd_ids) < 0 or len(set(self.shepherd_ids)) < len(self.shepherd_ids):
+        ids = self.shepherd_ids
+        if ids != [ALL] and (min(ids) < 0 or len(set(ids)) < len(ids)):
             raise ConfigError(
-                f'shepherd_ids is {self.shepherd_ids}: expected each shepherd once, counted '
-                'from 0, such as [0, 1, 2]'
+                f'shepherd_ids is {ids}: expected each shepherd once, counted from 0, such as '
+                '[0, 1, 2], or [-1] for all'
             )
         self.stamped: bool = self.option(
             'stamped', True, 'publish TwistStamped; false: Twist, which has no stamp'
@@ -76,7 +78,7 @@ class PolicyNode(ShepherdNode):
 
     def _warm_up(self) -> None:
         """Answer once what nobody asked, as a first answer takes most of a second."""
-        team = len(self.shepherd_ids)
+        team = len(self.shepherd_ids)  # another team's first answer takes no longer
         ranges = torch.full((team, *self.policy.config.lidar.layout.shape), torch.inf)
         ranges[..., ::2] = 5.0
         there = torch.ones(team, dtype=torch.bool)
@@ -88,8 +90,9 @@ class PolicyNode(ShepherdNode):
         """Start an episode with empty stacks, or refuse it."""
         self.episode, self.max_speed = episode, world.shepherd_speed
         self.last, self.refused = None, ''
-        self.present = [h for h in self.shepherd_ids if h < episode.n_shepherds]
-        strangers = sorted(set(self.shepherd_ids) - set(self.present))
+        team = range(episode.n_shepherds) if self.shepherd_ids == [ALL] else self.shepherd_ids
+        self.present = [h for h in team if h < episode.n_shepherds]
+        strangers = sorted(set(team) - set(self.present))
         if strangers:
             self.get_logger().error(
                 f'shepherd_ids has {strangers}: expected 0 to {episode.n_shepherds - 1}, as this '
@@ -201,5 +204,5 @@ class PolicyNode(ShepherdNode):
 
 
 def main() -> int:
-    """Run a learned policy for one shepherd, or for several by parameter shepherd_ids."""
+    """Run a learned policy for all shepherds of the episode, or for some by shepherd_ids."""
     return run(PolicyNode, 'policy', main.__doc__ or '')
