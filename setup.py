@@ -2,6 +2,7 @@
 
 from pathlib import Path
 import re
+import runpy
 import xml.etree.ElementTree as ET
 
 from setuptools import find_packages, setup
@@ -18,17 +19,8 @@ def heuristics() -> list[str]:
     return re.findall(r"^    executable = '(\w+)'$", text, re.MULTILINE)
 
 
-NODES = {
-    'flock_sim': 'flock_node:main',
-    'lidar': 'lidar_node:main',
-    'metrics': 'metrics_node:main',
-    'herd': 'herd_node:main',
-    'player': 'player_node:main',
-    'recorder': 'recorder_node:main',
-    'controller': 'heuristic_node:main',
-    **{name: f'heuristic_node:{name}' for name in heuristics()},
-    'policy': 'policy_node:main',
-}
+FILES = runpy.run_path(str(HERE / NAME / 'nodes' / 'executables.py'))['FILES']
+EXECUTABLES = sorted({*FILES, *heuristics()})
 
 
 def shared(folder: str, pattern: str) -> tuple[str, list[str]]:
@@ -113,7 +105,7 @@ setup(
     entry_points={
         'console_scripts': [
             'shepherd = shepherd_ros.cli:main',
-            *(f'{node} = {NAME}.nodes.{target}' for node, target in NODES.items()),
+            *(f'{name} = {NAME}.nodes.executables:{name}' for name in EXECUTABLES),
         ],
     },
 )

@@ -13,7 +13,7 @@ from rclpy.duration import Duration
 from shepherd_ros.recordings.episodes import Frame, RecordedEpisode
 from shepherd_ros.ros.intra_process import Output
 from shepherd_ros.ros.node import ShepherdNode
-from shepherd_ros.ros.runtime import make_executor
+from shepherd_ros.ros.runtime import begin, make_executor
 from shepherd_ros.wire.contract import known
 from shepherd_ros.wire.decode import Vector
 from shepherd_ros.wire.encode import encode_clock, encode_goal, encode_text
@@ -97,7 +97,7 @@ class Questioner(ShepherdNode):
 @contextmanager
 def questioning() -> Iterator[Questioner]:
     """Give a questioner."""
-    rclpy.init()
+    begin()
     node = Questioner()
     try:
         yield node

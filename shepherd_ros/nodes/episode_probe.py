@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from shepherd_ros.ros.node import ShepherdNode
-from shepherd_ros.ros.runtime import make_executor
+from shepherd_ros.ros.runtime import begin, make_executor
 from shepherd_ros.ros.world_subscriber import Listener
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.sim.metrics import METRICS
@@ -79,7 +79,7 @@ class Witness(ShepherdNode):
 @contextmanager
 def witnessing(shepherd: int = 0) -> Iterator[tuple[Witness, Callable[[float], None]]]:
     """Give a witness and a function that lets it hear for at most some time [s]."""
-    rclpy.init()
+    begin()
     node = Witness(shepherd)
     executor = make_executor('events')
     executor.add_node(node)

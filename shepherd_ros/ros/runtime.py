@@ -24,6 +24,7 @@ from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.ros.parameters import warn_of_unknown
 
 USER_MISTAKE = 2
+LAST_DOMAIN = 232  # the ports of the next are too high
 LOOK = 0.1  # [s] after which a signal is seen at the latest
 STOPS = (signal.SIGINT, signal.SIGTERM)
 LET_GO = 10.0  # [s] that DDS has to let go when all work is done
@@ -111,7 +112,7 @@ def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None)
             )
         if words:
             hide()
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        begin(signal_handler_options=SignalHandlerOptions.NO)
         made = make_node()
         nodes = made if isinstance(made, list) else [made]
         if words:
@@ -133,6 +134,36 @@ def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None)
         for number in STOPS:  # the end of Python gives handlers up; a second signal would kill
             signal.signal(number, signal.SIG_IGN)
     return code
+
+
+def begin(**options: Any) -> None:
+    """Begin rclpy with options of rclpy.init(); ConfigError names the variable that forbids it."""
+    domain = os.environ.get('ROS_DOMAIN_ID', '')
+    if domain and not (domain.isdecimal() and int(domain) <= LAST_DOMAIN):
+        raise ConfigError(
+            f'ROS_DOMAIN_ID is {domain!r}: expected a number from 0 to {LAST_DOMAIN}'
+        )
+    try:
+        rclpy.init(**options)
+    except _rclpy.RCLError as error:
+        text = _in_one_line(error)
+        if 'initialize logging' in text:
+            raise ConfigError(
+                f'{text}: expected a folder in which logs can be written; set ROS_LOG_DIR to one'
+            ) from None
+        if os.environ.get('ROS_SECURITY_ENABLE') == 'true':
+            keys = os.environ.get('ROS_SECURITY_KEYSTORE', '')
+            raise ConfigError(
+                f'security is on and ROS_SECURITY_KEYSTORE is {keys!r} ({text}): expected a '
+                'keystore with an enclave of this process; without security set '
+                'ROS_SECURITY_ENABLE=false'
+            ) from None
+        raise
+
+
+def _in_one_line(error: Exception) -> str:
+    """Return the words of rcl without the places in its code."""
+    return re.sub(r', at \S+:\d+', '', ' '.join(str(error).split()))
 
 
 def leave(nodes: Sequence[ShepherdNode], name: str, code: int) -> None:
@@ -160,7 +191,7 @@ def from_words(options: Any, name: str, words: list[str]) -> Any:
 
 def rcl_mistake(error: Exception) -> str | None:
     """Return the words for a command line or parameter file that rcl refuses, else None."""
-    text = re.sub(r', at \S+:\d+', '', ' '.join(str(error).split()))
+    text = _in_one_line(error)
     if isinstance(error, _rclpy.UnknownROSArgsError):
         text = f'unknown words after --ros-args: {text}'
     elif not isinstance(error, _rclpy.RCLInvalidROSArgsError):

@@ -1,0 +1,35 @@
+"""
+The main functions of executables by name, as `shepherd_ros.nodes.executables:flock_sim`.
+
+What one imports takes seconds, in which Ctrl-C ends it at once and without a traceback.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+import signal
+
+FILES = {  # of all executables but those of single controllers
+    'flock_sim': 'flock_node',
+    'lidar': 'lidar_node',
+    'metrics': 'metrics_node',
+    'herd': 'herd_node',
+    'player': 'player_node',
+    'recorder': 'recorder_node',
+    'controller': 'heuristic_node',
+    'policy': 'policy_node',
+}
+
+
+def __getattr__(name: str) -> Callable[[], int]:
+    """Return the main function of an executable; its file is imported when it is called."""
+    if name.startswith('_'):
+        raise AttributeError(name)
+
+    def main() -> int:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # until the node has handlers of its own
+        file = import_module(f'shepherd_ros.nodes.{FILES.get(name, "heuristic_node")}')
+        return int((file.main if name in FILES else getattr(file, name))())
+
+    return main
