@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
+from heapq import merge
 from threading import Event, Lock, Thread
 from typing import Any
 
@@ -13,21 +15,23 @@ from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.parameter import parameter_value_to_python
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.validate_full_topic_name import validate_full_topic_name
 from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes.player_options import PlayerOptions
 from shepherd_ros.ros.node import message_type, OK, ShepherdNode
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.rosbag2.metadata import TopicInfo
-from shepherd_ros.rosbag2.qos import Qos
+from shepherd_ros.rosbag2.qos import agreed, history, nanoseconds, Qos
 from shepherd_ros.rosbag2.reader import BagMessage, open_bag
+from shepherd_ros.wire.contract import installed_hash, text_hash
 from shepherd_ros.wire.encode import encode_clock
 from shepherd_ros.wire.topics import CLOCK
 from std_srvs.srv import SetBool
 
 SECOND = 1_000_000_000  # [ns]
 ACK_TIME = 4.0  # [s] for readers to miss what did not arrive: DDS asks them every 3 s
+SHORTEST_ROUND = 0.1  # [s] of --loop: a bag may have one message
 LATCHED_LEAD = 0.2  # [s] that readers get to know the topics before the first message
 
 
@@ -44,21 +48,33 @@ class Player(ShepherdNode):
             raise ConfigError(
                 f'--topics has {", ".join(unknown)}: expected some of {", ".join(self.bag.topics)}'
             )
-        self.names = [n for n in self.bag.topics if not options.topics or n in options.topics]
-        kinds = {name: self._kind(self.bag.topics[name]) for name in self.names}
+        kinds, refused = {}, []
+        for name, topic in self.bag.topics.items():
+            if not options.topics or name in options.topics:
+                try:
+                    kinds[name] = self._kind(topic)
+                except ConfigError as error:
+                    refused.append(str(error))
+        if refused and not kinds:
+            raise ConfigError(refused[0])
+        self.names = list(kinds)
         super().__init__('player', **kwargs)  # after what needs no graph
+        for why in refused:
+            self.get_logger().warning(f'skipped: {why}')
         self.outputs: dict[str, Publisher] = {
             name: self.create_publisher(kind, name, _quality(self.bag.topics[name].qos))
             for name, kind in kinds.items()
         }
-        self.latched = {n for n in self.names if _is_latched(self.bag.topics[n].qos)}
+        histories = {name: history(self.bag.topics[name].qos) for name in self.names}
+        self.latched = {name: depth for name, depth in histories.items() if depth}
         self.clock_output = None
         if options.clock and CLOCK not in self.names:
             self.clock_output = self.advertise(CLOCK)
             self.timer(1 / options.clock, self.tell_time)
         self.played = 0
         self.lateness: list[float] = []  # [s] of each message
-        self.at_ns = self.bag.start_ns
+        self.at_ns = self.next_ns = self.bag.start_ns  # of the last message, and of the next one
+        self.begun = self.paused = 0.0  # wall times [s]: of the start, later by pauses; of a pause
         self.steps = 0
         self.running = Event()
         if not options.start_paused:
@@ -79,7 +95,7 @@ class Player(ShepherdNode):
             )
         try:
             validate_full_topic_name('/' + topic.name.removeprefix('/'))
-            return message_type(topic.type)
+            kind = message_type(topic.type)
         except InvalidTopicNameException as error:
             raise ConfigError(
                 f'{self.bag.path}: {topic.name!r} is no name of a topic in ROS 2; {fix}'
@@ -89,6 +105,18 @@ class Player(ShepherdNode):
                 f'{self.bag.path}: {topic.name} has the type {topic.type!r}, which is not '
                 f'installed; install its package or {fix}'
             ) from error
+        mine = installed_hash(topic.type)
+        for name, encoding, text in self.bag.definitions[topic.name]:
+            parsed = (
+                text_hash(name, text.decode(errors='replace')) if encoding == 'ros2msg' else ''
+            )
+            theirs = parsed or topic.type_hash
+            if name != topic.type or (mine and theirs and mine != theirs):
+                raise ConfigError(
+                    f'{self.bag.path}: {topic.name} was recorded with another {name!r} than the '
+                    f'{topic.type!r} that is installed; install that package or {fix}'
+                )
+        return kind
 
     # ---- playing ----
 
@@ -98,9 +126,10 @@ class Player(ShepherdNode):
             self.await_readers()
             again = True
             while again and not self.stopped.is_set():
-                before = self.played
+                before, limit = self.played, self.wall() + SHORTEST_ROUND
                 self.play_once()
                 again = self.options.loop and self.played > before
+                self.stopped.wait(limit - self.wall() if again else 0.0)
         except ConfigError as error:
             self.failure = str(error)
         self.finished = True
@@ -114,31 +143,34 @@ class Player(ShepherdNode):
         self.stopped.wait(LATCHED_LEAD)
 
     def messages(self) -> Iterator[BagMessage]:
-        """Yield what is to be played: before the start only the last of what is latched."""
+        """Yield what is to be played: before the start only what is latched by then."""
         first = self.bag.start_ns
         start = first + round(self.options.start_offset * SECOND)
         end = first + round(self.options.until * SECOND) if self.options.until else None
         if self.options.start_offset:
-            last = {
-                message.topic: message for message in self.bag.messages(self.latched, end_ns=start)
-            }
-            yield from last.values()
+            kept = {name: deque[BagMessage](maxlen=depth) for name, depth in self.latched.items()}
+            for message in self.bag.messages(kept, end_ns=start):
+                kept[message.topic].append(message)
+            yield from merge(*kept.values(), key=lambda message: message.log_ns)
         yield from self.bag.messages(self.names, start, end)
 
     def play_once(self) -> None:
         """Publish every message when it is due."""
-        begun = self.wall()
         first = self.bag.start_ns + round(self.options.start_offset * SECOND)
+        self.at_ns = self.next_ns = first
+        self.begun = self.wall()
         for message in self.messages():
-            ahead = max(message.log_ns - first, 0) / SECOND / self.options.rate
+            self.next_ns = max(message.log_ns, first)
+            ahead = (self.next_ns - first) / SECOND / self.options.rate
             asked = False  # for this message, by ~/step
             while not self.stopped.is_set():
                 if not (asked or self.running.is_set()):
-                    paused = self.wall()
+                    self.paused = self.wall()
                     asked = self.await_go()
-                    begun += self.wall() - paused
+                    self.begun += self.wall() - self.paused
+                    self.paused = 0.0
                     continue
-                due = begun + ahead
+                due = self.begun + ahead
                 wait = due - self.wall()
                 if wait <= 0:
                     break
@@ -146,10 +178,16 @@ class Player(ShepherdNode):
                 self.woken.clear()
             else:
                 return
-            self.at_ns = message.log_ns
+            self.at_ns = self.next_ns
             self.outputs[message.topic].publish(message.data)
             self.lateness.append(max(self.wall() - due, 0.0))
             self.played += 1
+
+    def bag_time(self) -> int:
+        """Return the time of the bag [ns], which goes on between two messages."""
+        passed = ((self.paused or self.wall()) - self.begun) * self.options.rate
+        first = self.bag.start_ns + self.options.start_offset * SECOND
+        return min(max(round(first + passed * SECOND), self.at_ns), self.next_ns)
 
     def await_go(self) -> bool:
         """Wait until the pause is over; true: only for one of the messages of ~/step."""
@@ -164,8 +202,8 @@ class Player(ShepherdNode):
 
     def tell_time(self) -> None:
         """Publish the time of the bag."""
-        if self.clock_output is not None and self.played:
-            self.clock_output.publish(encode_clock(self.at_ns))
+        if self.clock_output is not None and self.begun:
+            self.clock_output.publish(encode_clock(self.bag_time()))
 
     # ---- services, diagnostics, end ----
 
@@ -228,19 +266,21 @@ class Player(ShepherdNode):
         return 0
 
 
-def _is_latched(qos: tuple[Qos, ...]) -> bool:
-    """Return whether all recorded publishers were transient local."""
-    return bool(qos) and all(q.durability == 'transient_local' for q in qos)
-
-
 def _quality(qos: tuple[Qos, ...]) -> QoSProfile:
-    """Return the recorded quality of service, rosbag2's default if publishers disagreed."""
+    """Return the recorded quality of service, rosbag2's default where publishers disagreed."""
     best_effort = bool(qos) and all(q.reliability == 'best_effort' for q in qos)
-    latched = _is_latched(qos)
+    latched = history(qos)
+    durations = {
+        name: Duration(nanoseconds=nanoseconds(agreed(qos, name)))
+        for name in ('deadline', 'lifespan', 'liveliness_lease_duration')
+    }
+    by_topic = agreed(qos, 'liveliness') == 'manual_by_topic'
     return QoSProfile(
-        depth=max([q.depth for q in qos] or [0]) or (1 if latched else 100),
+        depth=latched or max([q.depth for q in qos] or [0]) or 100,
         reliability=(ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE),
         durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE),
+        liveliness=LivelinessPolicy.MANUAL_BY_TOPIC if by_topic else LivelinessPolicy.AUTOMATIC,
+        **durations,
     )
 
 

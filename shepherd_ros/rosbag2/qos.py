@@ -110,6 +110,26 @@ class Qos:
         return cls(**values, depth=int(data['depth']), avoid_ros_namespace_conventions=avoid)
 
 
+def history(profiles: tuple[Qos, ...]) -> int:
+    """Return how many messages a late reader gets of latched publishers, 0 if some are not."""
+    if any(profile.durability != 'transient_local' for profile in profiles):
+        return 0
+    return sum(max(profile.depth, 1) for profile in profiles)
+
+
+def agreed(profiles: tuple[Qos, ...], policy: str) -> Any:
+    """Return what all publishers offered of a policy, that of Qos() if they disagree."""
+    offers = {getattr(profile, policy) for profile in profiles}
+    return offers.pop() if len(offers) == 1 else getattr(Qos(), policy)
+
+
+def nanoseconds(duration: tuple[int, int]) -> int:
+    """Return a duration of s and ns in ns, 2^63 - 1 for those that rosbag2 calls infinite."""
+    seconds, rest = duration
+    infinite = seconds >= 2**31 - 1 or duration == (0, 0)  # so in versions up to 8, or not told
+    return 2**63 - 1 if infinite else seconds * 10**9 + rest
+
+
 @lru_cache(maxsize=256)  # there are few that differ
 def qos_yaml(profiles: tuple[Qos, ...]) -> str:
     """Return profiles as the YAML text that MCAP channels carry."""

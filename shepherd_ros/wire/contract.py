@@ -10,7 +10,7 @@ import re
 from typing import Any
 
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
-from shepherd_ros.wire.schemas import schema_text, wire_types
+from shepherd_ros.wire.schemas import installed_text, nested_text, schema_text, wire_types
 from shepherd_ros.wire.topics import contract, families, member, Topic, topic_pattern
 
 PROSE = ('publisher', 'subscribers', 'meaning')  # may change without any change on the wire
@@ -101,8 +101,26 @@ def known_text(type_name: str) -> bytes:
 
 
 @cache
-def type_hash(type_name: str) -> str:
-    """Return the hash of a type of the contract as ROS 2 computes it: RIHS01_ and SHA-256."""
+def text_hash(type_name: str, text: str) -> str:
+    """Return the hash of a type as ROS 2 computes it, RIHS01_ and SHA-256; '' for no such text."""
     store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(schema_text(type_name), type_name))
-    return store.hash_rihs01(type_name)
+    try:
+        store.register(get_types_from_msg(text, type_name))
+        return store.hash_rihs01(type_name)
+    except Exception:  # whatever the parser makes of a foreign text
+        return ''
+
+
+def type_hash(type_name: str) -> str:
+    """Return the hash of a type of the contract as ROS 2 computes it."""
+    return text_hash(type_name, schema_text(type_name))
+
+
+def installed_hash(type_name: str) -> str:
+    """Return the hash of a type as it is installed, '' if its text is not there."""
+    if type_name in wire_types():
+        return type_hash(type_name)
+    try:
+        return text_hash(type_name, nested_text(type_name, installed_text))
+    except FileNotFoundError:
+        return ''
