@@ -68,7 +68,7 @@ def is_part(part: list[bytes], whole: list[bytes]) -> bool:
 def kill_once(root: Path, seconds: float) -> str:
     """Kill a recorder after some seconds of recording; return a row of the table."""
     torn, whole = root / 'torn', root / 'whole'
-    with ExitStack() as stack, recorder(whole, *WORDS) as witness:
+    with ExitStack() as stack, recorder(whole, *WORDS) as whole_recorder:
         until_there(whole)
         time.sleep(1.0)  # it hears all that the other one will
         victim = stack.enter_context(recorder(torn, *WORDS))
@@ -78,8 +78,8 @@ def kill_once(root: Path, seconds: float) -> str:
         victim.wait()
         killed_ns = time.time_ns()
         time.sleep(0.3)
-        witness.send_signal(signal.SIGINT)
-        witness.communicate(timeout=60)
+        whole_recorder.send_signal(signal.SIGINT)
+        whole_recorder.communicate(timeout=60)
     flushed = on_disk(torn / 'torn_0.mcap')
     result = recover(torn)
     bag = open_bag(result.folder)

@@ -18,9 +18,9 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from shepherd_ros.learning.clone import Cloner, Examples
-from shepherd_ros.learning.dagger import DaggerConfig, Lesson
-from shepherd_ros.learning.ppo import Learner, PPOConfig
+from shepherd_ros.learning.clone import CloneLearner, Examples
+from shepherd_ros.learning.dagger import DaggerConfig, LabelledWorlds
+from shepherd_ros.learning.ppo import PPOConfig, PPOLearner
 from shepherd_ros.learning.rollout import Rollout
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.train_ppo import PPORunConfig
@@ -98,7 +98,7 @@ def ppo(rounds: int, decisions: int, repeat: int) -> tuple[list[dict[str, Any]],
     policy = Policy(replace(FROM_SCRATCH, action_repeat=repeat))
     rollout = small_rollout(policy, decisions, dtype)
     config = PPOConfig(target_kl=1e9)  # or the actor might rest
-    learner, draw = Learner(policy, config), torch.Generator().manual_seed(0)
+    learner, draw = PPOLearner(policy, config), torch.Generator().manual_seed(0)
     batch, _ = rollout.collect(0.96, 0.95, 1.0)
     made = len(batch.value)
     learned = made // config.minibatch_size * config.minibatch_size  # whole minibatches
@@ -162,9 +162,9 @@ def rollout_shares(rollout: Rollout, collect: Callable[[], None], rounds: int) -
 def dagger(rounds: int) -> list[dict[str, Any]]:
     """Return rates of the two halves of a round and of the whole, as shepherd train dagger."""
     config, dtype, policy = DaggerConfig(), fast_dtype(), Policy(IMITATION)
-    lessons = [Lesson(config, policy, i, dtype) for i in range(config.groups)]
+    lessons = [LabelledWorlds(config, policy, i, dtype) for i in range(config.groups)]
     examples = Examples(policy, 20_000, dtype)
-    cloner = Cloner(policy, config.clone, config.seed)
+    cloner = CloneLearner(policy, config.clone, config.seed)
     driven: list[int] = []
 
     def drive() -> None:

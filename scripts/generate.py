@@ -17,7 +17,7 @@ from shepherd_ros.policy.card import card
 from shepherd_ros.policy.checkpoint import (
     checkpoint_file,
     load_policy,
-    read_metadata,
+    read_checkpoint_metadata,
     shipped_checkpoints,
 )
 from shepherd_ros.sim.flocking import FLOCK_MODELS
@@ -111,7 +111,7 @@ def fresh() -> Iterator[tuple[str, str]]:
     for name in NODES.keys() - {'controller'}:  # which has those of the controller that it runs
         yield f'config/{name}.yaml', parameter_file(name)
     for name in shipped_checkpoints():
-        record = read_metadata(checkpoint_file(name))[1]
+        record = read_checkpoint_metadata(checkpoint_file(name))[1]
         yield f'docs/checkpoints/{name}.md', card(name, load_policy(name), record)
     for name, text in pages().items():
         yield f'docs/{name}', text

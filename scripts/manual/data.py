@@ -11,7 +11,7 @@ from shepherd_ros.experiments.catalog import EXPERIMENTS
 from shepherd_ros.policy.checkpoint import (
     checkpoint_file,
     FORMAT,
-    read_metadata,
+    read_checkpoint_metadata,
     shipped_checkpoints,
 )
 from shepherd_ros.policy.policy import PolicyConfig
@@ -113,7 +113,7 @@ shepherd's steps without a hole.
 
 def checkpoints() -> str:
     """Return the page of the fields of a checkpoint."""
-    records = {n: read_metadata(checkpoint_file(n))[1] for n in shipped_checkpoints()}
+    records = {n: read_checkpoint_metadata(checkpoint_file(n))[1] for n in shipped_checkpoints()}
     known = dict.fromkeys(key for record in records.values() for key in record)
     rows = [[code(key), RECORD.get(key, '')] for key in RECORD if key in known]
     head = [

@@ -29,7 +29,7 @@ class Info:
         from shepherd_ros.policy.checkpoint import (
             checkpoint_file,
             load_policy,
-            read_metadata,
+            read_checkpoint_metadata,
             shipped_checkpoints,
         )
 
@@ -37,7 +37,7 @@ class Info:
             print('\n'.join(shipped_checkpoints()) or 'no checkpoint is shipped')
             return 0
         path = checkpoint_file(self.checkpoint)
-        config, record, version = read_metadata(path)
+        config, record, version = read_checkpoint_metadata(path)
         said = version[:60] if version.isprintable() else ascii(version[:60])
         print(f'file:    {path}\nsize:    {path.stat().st_size} bytes\nversion: {said}')
         for title, content in (('policy', config.to_dict()), ('record', record)):
@@ -62,10 +62,17 @@ class Card:
     def run(self) -> int:
         """Print it."""
         from shepherd_ros.policy.card import card
-        from shepherd_ros.policy.checkpoint import checkpoint_file, load_policy, read_metadata
+        from shepherd_ros.policy.checkpoint import (
+            checkpoint_file,
+            load_policy,
+            read_checkpoint_metadata,
+        )
 
         path = checkpoint_file(self.checkpoint)
-        print(card(path.stem, load_policy(self.checkpoint), read_metadata(path)[1]), end='')
+        print(
+            card(path.stem, load_policy(self.checkpoint), read_checkpoint_metadata(path)[1]),
+            end='',
+        )
         return 0
 
 

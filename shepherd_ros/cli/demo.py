@@ -19,7 +19,7 @@ from shepherd_ros.experiments.arguments import OneSetting
 
 if TYPE_CHECKING:
     from shepherd_ros.experiments.setting import Setting
-    from shepherd_ros.nodes.episode_probe import Witness
+    from shepherd_ros.nodes.episode_probe import EpisodeProbe
 
 PATIENCE = 60.0  # [s] wall time without any news before giving up
 
@@ -48,12 +48,12 @@ class Demo(OneSetting):
             f'{setting.flock} flock, seed {self.seed}; ROS_DOMAIN_ID={os.environ["ROS_DOMAIN_ID"]}'
         )
         # rclpy reads the environment when it is imported
-        from shepherd_ros.nodes.episode_probe import witnessing
+        from shepherd_ros.nodes.episode_probe import open_episode_probe
 
-        with running(self.out / 'logs') as processes, witnessing() as (witness, hear):
-            self._herd(stack, setting.steps, processes, witness, hear, console)
-        console.print(self._table(witness.metrics))
-        self._draw(setting, witness, console)
+        with running(self.out / 'logs') as processes, open_episode_probe() as (probe, hear):
+            self._herd(stack, setting.steps, processes, probe, hear, console)
+        console.print(self._table(probe.metrics))
+        self._draw(setting, probe, console)
         return 0
 
     def _check(self) -> Setting:
@@ -69,7 +69,7 @@ class Demo(OneSetting):
         stack: list[Process],
         steps: int,
         processes: Running,
-        witness: Witness,
+        probe: EpisodeProbe,
         hear: Callable[[float], None],
         console: Console,
     ) -> None:
@@ -79,26 +79,26 @@ class Demo(OneSetting):
         with Progress(*columns, console=console) as progress:
             task = progress.add_task('starting processes', total=steps)
             processes.start(stack[:-1])
-            self._until(lambda: witness.hears_all, processes, witness, hear)
+            self._until(lambda: probe.hears_all, processes, probe, hear)
             processes.start(stack[-1:])
 
             def done() -> bool:
-                seen = witness.metrics
+                seen = probe.metrics
                 text = (
                     f'{seen["fraction_in_goal"]:4.0%} in goal, flock '
                     f'{seen["goal_distance"]:5.1f} m from its center'
                 )
-                progress.update(task, completed=max(witness.step, 0), description=text)
+                progress.update(task, completed=max(probe.step, 0), description=text)
                 return processes.ended('flock_sim')
 
-            self._until(done, processes, witness, hear)
+            self._until(done, processes, probe, hear)
             limit = time.monotonic() + 1.0  # the last words of metrics and lidar
             while time.monotonic() < limit:
                 hear(0.1)
             done()
-        if len(witness.states) != steps + 1:
+        if len(probe.states) != steps + 1:
             raise UserError(
-                f'heard {len(witness.states)} of {steps + 1} states: the machine is too '
+                f'heard {len(probe.states)} of {steps + 1} states: the machine is too '
                 f'busy to follow; the logs are in {processes.logs}'
             )
 
@@ -106,7 +106,7 @@ class Demo(OneSetting):
     def _until(
         done: Callable[[], bool],
         processes: Running,
-        witness: Witness,
+        probe: EpisodeProbe,
         hear: Callable[[float], None],
     ) -> None:
         """Hear until done; raise UserError if a process fails or nothing is heard for long."""
@@ -119,8 +119,8 @@ class Demo(OneSetting):
                 processes.check()
                 if done():
                     return
-            if witness.step != news:
-                news, since = witness.step, now
+            if probe.step != news:
+                news, since = probe.step, now
             elif now - since > PATIENCE:
                 raise UserError(
                     f'no news for {PATIENCE:.0f} s at step {news}: the logs are in '
@@ -140,11 +140,11 @@ class Demo(OneSetting):
             table.add_row(metric.name, value, metric.unit, metric.meaning)
         return table
 
-    def _draw(self, setting: Setting, witness: Witness, console: Console) -> None:
+    def _draw(self, setting: Setting, probe: EpisodeProbe, console: Console) -> None:
         """Write picture and animation."""
         from shepherd_ros.view.track import EpisodeTrack
 
-        times, states = witness.whole()
+        times, states = probe.whole()
         track: Any = EpisodeTrack(
             times=times,
             sheep=states.sheep.numpy(),
@@ -152,8 +152,8 @@ class Demo(OneSetting):
             goal=states.goal.numpy(),
             goal_radius=float(states.goal_radius[0]),
             title=f'{self.controller}, {setting.sheep} sheep ({setting.flock}), seed {self.seed}',
-            ranges=witness.ranges(),
-            lidar_shepherd=witness.shepherd,
+            ranges=probe.ranges(),
+            lidar_shepherd=probe.shepherd,
         )
         from shepherd_ros.view.animation import animate
         from shepherd_ros.view.picture import draw_tracks

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from shepherd_ros.experiments.campaign import Task
     from shepherd_ros.experiments.catalog import Experiment
-    from shepherd_ros.experiments.results import Rows
+    from shepherd_ros.experiments.results import Results
     from shepherd_ros.experiments.setting import Setting
 
 
@@ -60,7 +60,7 @@ class Evaluate(ManySettings):
         from shepherd_ros.experiments.campaign import codes_of, done_of, plan, run_tasks, shard_of
         from shepherd_ros.experiments.catalog import experiments
         from shepherd_ros.experiments.cells import Cell
-        from shepherd_ros.experiments.results import rows_in
+        from shepherd_ros.experiments.results import results_in
         from shepherd_ros.learning.distributed import rank, ranks, wait_for_all
 
         if self.workers < 1:
@@ -76,7 +76,7 @@ class Evaluate(ManySettings):
             self.out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise UserError(f'--out is {self.out}: expected a folder ({error.strerror})') from None
-        rows = rows_in(self.out)
+        rows = results_in(self.out)
         wait_for_all()  # a file that is read is not replaced meanwhile
         there = done_of(mine, rows)
         missing = [task for task in mine if task not in there]
@@ -95,7 +95,7 @@ class Evaluate(ManySettings):
             run_tasks(self.out, missing, self.workers, code, done)
         wait_for_all()
         if rank() == 0:
-            rows = rows_in(self.out)
+            rows = results_in(self.out)
             if len(done_of(tasks.values(), rows)) == len(tasks):
                 self.write_tables(chosen, rows)
         return 0
@@ -119,7 +119,7 @@ class Evaluate(ManySettings):
             episodes=episodes if self.episodes is None else self.episodes,
         )
 
-    def write_tables(self, chosen: list[Experiment], rows: Rows) -> None:
+    def write_tables(self, chosen: list[Experiment], rows: Results) -> None:
         """Write a table of each experiment beside the rows, and say where."""
         from shepherd_ros.experiments.samples import samples_of
         from shepherd_ros.experiments.table import markdown

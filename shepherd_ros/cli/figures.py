@@ -10,7 +10,7 @@ from shepherd_ros.cli.errors import UserError
 import tyro
 
 if TYPE_CHECKING:
-    from shepherd_ros.experiments.results import Rows
+    from shepherd_ros.experiments.results import Results
     from shepherd_ros.experiments.samples import Samples
 
 
@@ -42,7 +42,7 @@ class Figures:
     def run(self) -> int:
         """Draw all; return the exit code."""
         from shepherd_ros.experiments.methods import checkpoint_of, full_name, loaded
-        from shepherd_ros.experiments.results import read_rows
+        from shepherd_ros.experiments.results import read_results
         from shepherd_ros.experiments.value_map import value_map
         from shepherd_ros.paper.curves import find_curves
         from shepherd_ros.paper.figures import draw, draw_curves, draw_values, save
@@ -52,7 +52,7 @@ class Figures:
         torch.set_num_threads(1)
         if not self.rows:
             raise UserError('figures needs rows: expected files or folders of shepherd evaluate')
-        rows, curves = read_rows(self.rows), find_curves(self.curves)
+        rows, curves = read_results(self.rows), find_curves(self.curves)
         samples = self._samples(rows)
         known = [name for name in rows.distinct('controller') if name.startswith('policy:')]
         named = [full_name(f'policy:{checkpoint}') for checkpoint in self.checkpoints]
@@ -66,17 +66,21 @@ class Figures:
         for name, figure in pictures.items():
             print(*save(figure, self.out, name))
         if self.report:
-            from shepherd_ros.paper.verdicts import judge_curves, judge_samples, judge_values
+            from shepherd_ros.paper.verdicts import (
+                verdicts_on_curves,
+                verdicts_on_samples,
+                verdicts_on_values,
+            )
 
-            judgements = [
-                *judge_curves(curves),
-                *(j for found in samples.values() for j in judge_samples(found)),
-                *judge_values(critics),
+            outcomes = [
+                *verdicts_on_curves(curves),
+                *(j for found in samples.values() for j in verdicts_on_samples(found)),
+                *verdicts_on_values(critics),
             ]
-            self._report(judgements, samples, list(pictures), rows)
+            self._report(outcomes, samples, list(pictures), rows)
         return 0
 
-    def _samples(self, rows: Rows) -> dict[str, Samples]:
+    def _samples(self, rows: Results) -> dict[str, Samples]:
         """Return what the rows have of each experiment; UserError if nothing."""
         from shepherd_ros.experiments.catalog import EXPERIMENTS, OF_THE_PAPER
         from shepherd_ros.experiments.samples import samples_of
@@ -94,14 +98,14 @@ class Figures:
         return samples
 
     def _report(
-        self, judgements: list[Any], samples: dict[str, Samples], pictures: list[str], rows: Rows
+        self, outcomes: list[Any], samples: dict[str, Samples], pictures: list[str], rows: Results
     ) -> None:
         """Write README.md, summary.csv and table.md."""
         from shepherd_ros.experiments.table import CSV_HEADER, csv_rows, grids
         from shepherd_ros.paper.report import page
 
         reasons = 'reasons.md' if (self.out / 'reasons.md').exists() else ''
-        text = page(judgements, samples, pictures, rows, self.command, reasons)
+        text = page(outcomes, samples, pictures, rows, self.command, reasons)
         (self.out / 'README.md').write_text(text, encoding='utf-8')
         lines = CSV_HEADER + ''.join(csv_rows(found) for found in samples.values())
         (self.out / 'summary.csv').write_text(lines, encoding='utf-8')

@@ -16,7 +16,7 @@ import tyro
 
 if TYPE_CHECKING:
     from shepherd_ros.recordings.episodes import Frame, RecordedEpisode
-    from shepherd_ros.recordings.grouping import Group
+    from shepherd_ros.recordings.grouping import RecordedGroup
     from shepherd_ros.recordings.replay_check import Comparison
 
 DIFFERENT = 1  # exit code if a command differs or is missing
@@ -72,17 +72,17 @@ class Replay:
 
     def _episodes(
         self, result: Comparison
-    ) -> Iterator[tuple[RecordedEpisode, list[Frame], Group]]:
+    ) -> Iterator[tuple[RecordedEpisode, list[Frame], RecordedGroup]]:
         """Yield the episodes to compare with the states to ask about."""
         from shepherd_ros.recordings.episodes import episode_of, one_namespace
-        from shepherd_ros.recordings.grouping import Groups
+        from shepherd_ros.recordings.grouping import RecordedGroups
         from shepherd_ros.recordings.replay_check import asked_frames
         from shepherd_ros.rosbag2.reader import open_bag
 
         bag = open_bag(self.bag)
         space = one_namespace(bag, self.namespace)
         number = -1
-        for number, group in enumerate(Groups(bag, space, keep=not self.without_ros)):
+        for number, group in enumerate(RecordedGroups(bag, space, keep=not self.without_ros)):
             if self.episode not in (None, number):
                 continue
             episode = episode_of(bag, group)
@@ -117,28 +117,28 @@ class Replay:
         """Compare what the node says."""
         isolate(os.environ)
         try:  # now, as rclpy reads the environment when it is imported
-            from shepherd_ros.nodes.controller_probe import questioning
+            from shepherd_ros.nodes.controller_probe import open_controller_probe
         except ModuleNotFoundError as error:
             raise UserError(f'{error}: install ROS 2, or use --without-ros') from None
 
         with (
             TemporaryDirectory() as logs,
             running(Path(logs)) as processes,
-            questioning() as questioner,
+            open_controller_probe() as probe,
         ):
             silent: set[int] = set()
             for episode, frames, group in self._episodes(result):
                 if not processes.started:
                     own = {'frame_id': episode.frame_id, 'shepherd_ids': self._team()}
                     processes.start([asked.process(own)])
-                questioner.begin(episode)
+                probe.begin(episode)
                 for frame in frames:
                     wanted = set(self.shepherds or range(episode.n_shepherds)) - silent
                     over = all(command is None for command in frame.commands)
                     answers = {}
                     if wanted and not (over and frame is frames[-1]):
                         raw = group.states[frame.step].raw
-                        answers = questioner.ask(frame, raw, wanted, processes.check)
+                        answers = probe.ask(frame, raw, wanted, processes.check)
                         silent |= wanted - answers.keys()  # not waited for again
                     result.add(episode, frame, answers)
 

@@ -17,7 +17,7 @@ from shepherd_ros.config import Config
 from shepherd_ros.learning.dagger import DaggerConfig, train_dagger
 from shepherd_ros.learning.distributed import device_index, rank, ranks
 from shepherd_ros.learning.ppo import PPOConfig
-from shepherd_ros.learning.run_folder import Run
+from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.train_bc import BCConfig, train_bc
 from shepherd_ros.learning.train_ppo import PPORunConfig, train_ppo
@@ -175,7 +175,7 @@ def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
             'pretrained': arguments.pretrained,
         },
     }
-    run = Run(arguments.out, record)
+    run = RunFolder(arguments.out, record)
     bags = [arguments.bags] if kind is BCConfig else []
     result = train(policy, *bags, config, run, show)
     if kind is BCConfig:

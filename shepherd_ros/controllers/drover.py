@@ -22,8 +22,8 @@ from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.controllers.base import Controller, CONTROLLERS, Memory
 from shepherd_ros.controllers.formation import (
     bearings_in_order,
+    Formation,
     middle_of_ring,
-    Stance,
     way_apart,
     way_round,
     WHOLE,
@@ -142,25 +142,27 @@ class DroverController(Controller):
         few = seen.team_size[..., None] < self.least
         clear = far + self.config.standoff
 
-        stance = self._arc_or_ring(seen, behind, away, clear)
+        formation = self._arc_or_ring(seen, behind, away, clear)
         if self.restless:
             near = away < self.config.touch_distance * seen.goal_radius[..., None]
-            stance = self._touch(seen, behind, away, far).where(few & near, stance)
+            formation = self._touch(seen, behind, away, far).where(few & near, formation)
         else:
             inside = share_inside(seen) >= self.config.lone_share
-            stance = self._alone(seen, stance).where(few & inside, stance)
+            formation = self._alone(seen, formation).where(few & inside, formation)
 
-        place = stance.places(seen)
-        target = stance.about + stance.distance[..., None] * from_bearing(place)
+        place = formation.places(seen)
+        target = formation.about + formation.distance[..., None] * from_bearing(place)
         gain, speed = self.config.gain, self.world.shepherd_speed
-        along = stance.way_along(seen, place, gain)
-        way = torch.where(stance.along[..., None], along, way_round(seen, target, center, clear))
+        along = formation.way_along(seen, place, gain)
+        way = torch.where(
+            formation.along[..., None], along, way_round(seen, target, center, clear)
+        )
         aside = way_apart(seen, self.config.separation) * speed
         return clip_norm(clip_norm(way * gain, speed) + aside, speed), memory
 
     def _arc_or_ring(
         self, seen: WorldState, behind: Tensor, away: Tensor, clear: Tensor
-    ) -> Stance:
+    ) -> Formation:
         """Return the arc behind the flock, the ring about the goal, or what is between them."""
         config, goal = self.config, seen.goal[..., None, :]
         radius, team = seen.goal_radius[..., None], seen.team_size[..., None]
@@ -179,7 +181,7 @@ class DroverController(Controller):
         turn = torch.remainder(turn + part / 2, part) - part / 2
         driving = (away + clear).clamp(min=self.notice)
         ring = self.notice + self.reach * radius
-        return Stance(
+        return Formation(
             about=goal,
             distance=arc * driving + (1 - arc) * ring,
             middle=behind + (1 - arc) * turn,
@@ -189,7 +191,7 @@ class DroverController(Controller):
             even=arc == 0,
         )
 
-    def _alone(self, seen: WorldState, stance: Stance) -> Stance:
+    def _alone(self, seen: WorldState, formation: Formation) -> Formation:
         """Return where a lone shepherd faces the nearest stray, with most of them inside."""
         goal, radius = seen.goal[..., None, :], seen.goal_radius[..., None]
         own = bearing(masked_mean(seen.shepherds, seen.shepherd_mask)[..., None, :] - goal)
@@ -200,20 +202,21 @@ class DroverController(Controller):
         least, nearest = off.min(dim=-1, keepdim=True)
         there = torch.where(least < torch.inf, stray.gather(-1, nearest), own)
         return replace(
-            stance,
+            formation,
             distance=self.notice + self.reach * radius,
             middle=there,
-            along=torch.ones_like(stance.along),
-            pace=self.config.ring_speed * torch.full_like(stance.pace, self.world.shepherd_speed),
-            even=torch.zeros_like(stance.even),
+            along=torch.ones_like(formation.along),
+            pace=self.config.ring_speed
+            * torch.full_like(formation.pace, self.world.shepherd_speed),
+            even=torch.zeros_like(formation.even),
         )
 
-    def _touch(self, seen: WorldState, behind: Tensor, away: Tensor, far: Tensor) -> Stance:
+    def _touch(self, seen: WorldState, behind: Tensor, away: Tensor, far: Tensor) -> Formation:
         """Return where to touch the rim of a flock, to turn it on its way over the goal."""
         heading = bearing(masked_mean(seen.heading, seen.sheep_mask))[..., None]
         side = torch.where(torch.sin(heading - behind) >= 0, 1.0, -1.0)
         crossing = (1 - away / (CROSSING * seen.goal_radius[..., None])).clamp(min=0.0)
-        return Stance(
+        return Formation(
             about=seen.center[..., None, :],
             distance=far + self.notice - self.config.touch_depth,
             middle=behind - side * self.config.touch_angle * crossing,

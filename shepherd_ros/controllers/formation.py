@@ -59,7 +59,7 @@ def midway(angle: Tensor, mask: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class Stance:
+class Formation:
     """Places for a team: on a circle, evenly apart; (..., 1) each."""
 
     about: Tensor  # the circle's middle, (..., 1, 2) m
@@ -70,11 +70,11 @@ class Stance:
     pace: Tensor  # top speed on that way [m/s]
     even: Tensor  # whether each is midway between its neighbours, wherever the middle is
 
-    def where(self, mask: Tensor, other: Stance) -> Stance:
+    def where(self, mask: Tensor, other: Formation) -> Formation:
         """Return this one where the mask (..., 1) is set, else the other."""
         pairs = {name: (getattr(self, name), getattr(other, name)) for name in vars(self)}
         about = torch.where(mask[..., None], *pairs.pop('about'))
-        return Stance(about, **{name: torch.where(mask, *pair) for name, pair in pairs.items()})
+        return Formation(about, **{name: torch.where(mask, *pair) for name, pair in pairs.items()})
 
     def places(self, seen: WorldState) -> Tensor:
         """Return a bearing for each shepherd, (..., H) rad."""

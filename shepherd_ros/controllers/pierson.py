@@ -14,7 +14,7 @@ import math
 from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.controllers.base import Controller, CONTROLLERS, Memory, places_on_arc
 from shepherd_ros.controllers.pierson_compiled import pierson_act
-from shepherd_ros.sim.compiled import usable
+from shepherd_ros.sim.compiled import compilable
 from shepherd_ros.sim.metrics import flock_spread
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, wrap
@@ -106,7 +106,7 @@ class PiersonController(Controller):
         max_radius = max(config.max_radius or 0.75 * flock.arc_range, config.min_radius)
         gain = config.tracking_gain or min(1 / world.dt, 2.0)
         pace = max(flock.speed, 1e-9)
-        if usable(seen.sheep, seen.shepherds, heading):
+        if compilable(seen.sheep, seen.shepherds, heading):
             velocity, heading = pierson_act(
                 seen, heading, config, max_radius, gain, pace, world.dt, world.shepherd_speed
             )

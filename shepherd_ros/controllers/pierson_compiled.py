@@ -7,10 +7,10 @@ import math
 from typing import Any
 
 import numpy as np
-from shepherd_ros.sim.compiled import compiled, flat
+from shepherd_ros.sim.compiled import compiled, flat_array
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import EPSILON
-from shepherd_ros.sim.vectors_compiled import bearing, mean, take_places, wrap
+from shepherd_ros.sim.vectors_compiled import bearing_xy, mean, take_places, wrap_angle
 import torch
 from torch import Tensor
 
@@ -67,7 +67,7 @@ def _pierson(
         speed = -gain * (ahead_x * cos + ahead_y * sin)
         turn_rate = -gain / lead * (ahead_y * cos - ahead_x * sin)
         turn_rate = min(max(turn_rate, -max_turn_rate), max_turn_rate)
-        way = wrap(heading[b] + turn_rate * dt)
+        way = wrap_angle(heading[b] + turn_rate * dt)
         new_heading[b] = way
 
         here = 0
@@ -78,12 +78,14 @@ def _pierson(
         radius = min(max(spread_factor * spread, min_radius), max_radius)
         rear, spacing = way + _PI, _ZERO
         if team == 1:
-            rear = bearing(goal[b, 0] - x, goal[b, 1] - y) + _PI
+            rear = bearing_xy(goal[b, 0] - x, goal[b, 1] - y) + _PI
         else:
             spacing = _opening(share, max(team, _TWO)) / max(team - _ONE, _ONE)
         if sorted_places:
             for h in range(size):
-                around[h] = wrap(bearing(shepherds[b, h, 0] - x, shepherds[b, h, 1] - y) - rear)
+                around[h] = wrap_angle(
+                    bearing_xy(shepherds[b, h, 0] - x, shepherds[b, h, 1] - y) - rear
+                )
             take_places(around, spacing, shepherd_mask[b], place)
         else:
             for h in range(size):
@@ -111,7 +113,7 @@ def pierson_act(
     top: float,
 ) -> tuple[Tensor, Tensor]:
     """Return what controllers.pierson does; pace is the sheep's speed, top the shepherds'."""
-    shepherds, way = flat(seen.shepherds, 2), flat(heading, 0)
+    shepherds, way = flat_array(seen.shepherds, 2), flat_array(heading, 0)
     velocity, new_heading = np.empty_like(shepherds), np.empty_like(way)
     numbers = (
         config.lead,
@@ -128,11 +130,11 @@ def pierson_act(
         top,
     )
     _pierson(
-        flat(seen.sheep, 2),
-        flat(seen.sheep_mask, 1),
+        flat_array(seen.sheep, 2),
+        flat_array(seen.sheep_mask, 1),
         shepherds,
-        flat(seen.shepherd_mask, 1),
-        flat(seen.goal, 1),
+        flat_array(seen.shepherd_mask, 1),
+        flat_array(seen.goal, 1),
         way,
         config.assignment == 'sorted',
         *(np.float32(number) for number in numbers),

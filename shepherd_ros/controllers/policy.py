@@ -62,7 +62,7 @@ class LearnedController(Controller):
         def draws() -> Tensor:
             return action_draws(seen.seed, seen.step, seen.shepherds.shape[-2])
 
-        return inference.fly(
+        return inference.act(
             self.policy,
             lambda: self.look(seen),
             seen.shepherd_mask,

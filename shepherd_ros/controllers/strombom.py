@@ -14,7 +14,7 @@ import math
 from shepherd_ros.config import Config, option
 from shepherd_ros.controllers.base import Controller, CONTROLLERS, Memory, places_on_arc
 from shepherd_ros.controllers.strombom_compiled import strombom_act
-from shepherd_ros.sim.compiled import usable
+from shepherd_ros.sim.compiled import compilable
 from shepherd_ros.sim.rng import direction, Stream
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import bearing, from_bearing, unit, wrap
@@ -69,7 +69,7 @@ class StrombomController(Controller):
 
     def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return commands, (..., H, 2) m/s."""
-        if usable(seen.sheep, seen.shepherds):
+        if compilable(seen.sheep, seen.shepherds):
             r, world = self.interaction_range, self.world
             return strombom_act(seen, self.config, r, world.dt, world.shepherd_speed), memory
         center = seen.center

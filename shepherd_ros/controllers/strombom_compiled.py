@@ -7,11 +7,18 @@ import math
 from typing import Any
 
 import numpy as np
-from shepherd_ros.sim.compiled import compiled, flat
+from shepherd_ros.sim.compiled import compiled, flat_array
 from shepherd_ros.sim.rng import Stream
-from shepherd_ros.sim.rng_compiled import direction_at, key_of
+from shepherd_ros.sim.rng_compiled import direction_at, stream_key
 from shepherd_ros.sim.state import WorldState
-from shepherd_ros.sim.vectors_compiled import bearing, length, mean, take_places, unit, wrap
+from shepherd_ros.sim.vectors_compiled import (
+    bearing_xy,
+    length,
+    mean,
+    take_places,
+    unit_xy,
+    wrap_angle,
+)
 import torch
 from torch import Tensor
 
@@ -44,12 +51,12 @@ def _strombom_targets(
                 nearest, way = h, apart
         if nearest >= 0:
             free[nearest] = False
-            away_x, away_y = unit(sheep[stray, 0] - x, sheep[stray, 1] - y)
+            away_x, away_y = unit_xy(sheep[stray, 0] - x, sheep[stray, 1] - y)
             target[nearest, 0] = sheep[stray, 0] + collect * away_x
             target[nearest, 1] = sheep[stray, 1] + collect * away_y
     around = np.empty(team, np.float32)
     for h in range(team):
-        around[h] = wrap(bearing(shepherds[h, 0] - x, shepherds[h, 1] - y) - rear)
+        around[h] = wrap_angle(bearing_xy(shepherds[h, 0] - x, shepherds[h, 1] - y) - rear)
     take_places(around, spacing, free, place)
     for h in range(team):
         if free[h]:
@@ -61,12 +68,12 @@ def _strombom_targets(
 @compiled
 def _detour(x, y, d, radius, stride, turn):
     """Return the way round the flock for a shepherd at x, y from its center, d metres out."""
-    out_x, out_y = unit(x, y)
+    out_x, out_y = unit_xy(x, y)
     side = -_ONE if turn < 0 else _ONE
     along_x, along_y = -out_y * side, out_x * side
     if d < radius - stride:
         weight = (radius - d) / max(stride, np.float32(1e-9))
-        return unit(along_x + weight * out_x, along_y + weight * out_y)
+        return unit_xy(along_x + weight * out_x, along_y + weight * out_y)
     cosine = (d * d + stride * stride - radius * radius) / max(_TWO * d * stride, np.float32(1e-9))
     cosine = min(max(cosine, -_ONE), _ONE)
     sine = np.float32(math.sqrt(_ONE - cosine * cosine))
@@ -119,22 +126,24 @@ def _strombom(
         spacing = wing_spacing
         if spacing == 0:
             spacing = _PI / np.float32(2 * max(here, 1))
-        rear = bearing(x - goal[b, 0], y - goal[b, 1])
+        rear = bearing_xy(x - goal[b, 0], y - goal[b, 1])
         _strombom_targets(
             sheep[b], sheep_mask[b], shepherds[b], shepherd_mask[b], x, y, distance, rear,
             together, behind, collect, spacing, free, target,
         )  # fmt: skip
-        key = key_of(seed[b], step[b], _CONTROL)
+        key = stream_key(seed[b], step[b], _CONTROL)
         for h in range(team):
             velocity[b, h, 0], velocity[b, h, 1] = _ZERO, _ZERO
             nearest = _nearest(sheep[b], sheep_mask[b], shepherds[b, h, 0], shepherds[b, h, 1])
             if not shepherd_mask[b, h] or nearest < stop:
                 continue
             to_x, to_y = target[h, 0] - shepherds[b, h, 0], target[h, 1] - shepherds[b, h, 1]
-            way_x, way_y = unit(to_x, to_y)
+            way_x, way_y = unit_xy(to_x, to_y)
             speed = min(length(to_x, to_y) / dt, top)
             off_x, off_y = shepherds[b, h, 0] - x, shepherds[b, h, 1] - y
-            turn = wrap(bearing(target[h, 0] - x, target[h, 1] - y) - bearing(off_x, off_y))
+            turn = wrap_angle(
+                bearing_xy(target[h, 0] - x, target[h, 1] - y) - bearing_xy(off_x, off_y)
+            )
             ahead = length(off_x + speed * dt * way_x, off_y + speed * dt * way_y)
             if abs(turn) > tolerance and ahead < radius:
                 d = length(off_x, off_y)
@@ -142,13 +151,13 @@ def _strombom(
                 speed = top
             if noise > 0:
                 random_x, random_y = direction_at(key, h)
-                way_x, way_y = unit(way_x + noise * random_x, way_y + noise * random_y)
+                way_x, way_y = unit_xy(way_x + noise * random_x, way_y + noise * random_y)
             velocity[b, h, 0], velocity[b, h, 1] = speed * way_x, speed * way_y
 
 
 def strombom_act(seen: WorldState, config: Any, r: float, dt: float, top: float) -> Tensor:
     """Return what controllers.strombom does, r [m] its range, dt [s], top speed [m/s]."""
-    shepherds = flat(seen.shepherds, 2)
+    shepherds = flat_array(seen.shepherds, 2)
     velocity = np.empty_like(shepherds)
     numbers = (
         r,
@@ -162,13 +171,13 @@ def strombom_act(seen: WorldState, config: Any, r: float, dt: float, top: float)
         top,
     )
     _strombom(
-        flat(seen.seed, 0),
-        flat(seen.step, 0),
-        flat(seen.sheep, 2),
-        flat(seen.sheep_mask, 1),
+        flat_array(seen.seed, 0),
+        flat_array(seen.step, 0),
+        flat_array(seen.sheep, 2),
+        flat_array(seen.sheep_mask, 1),
         shepherds,
-        flat(seen.shepherd_mask, 1),
-        flat(seen.goal, 1),
+        flat_array(seen.shepherd_mask, 1),
+        flat_array(seen.goal, 1),
         config.position_law == 'elfiqi',
         *(np.float32(number) for number in numbers),
         velocity,

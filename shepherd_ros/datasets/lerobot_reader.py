@@ -27,7 +27,7 @@ from shepherd_ros.datasets.lerobot_format import (
 )
 from shepherd_ros.datasets.steps import Steps
 from shepherd_ros.rosbag2.errors import BagError
-from shepherd_ros.sim.lidar_layout import in_order, PAPER_CHANNELS, ScanLayout
+from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS, ScanLayout, sorted_channels
 from shepherd_ros.sim.limits import MAX_SHEEP, MAX_SHEPHERDS, MAX_STEPS
 
 FIX = 'build it again with `shepherd dataset build`'
@@ -190,7 +190,7 @@ def _about(folder: Path) -> dict[str, Any]:
         raise BagError(path, f'n_rays is {rays!r:.40}, expected 0 to {LARGEST_RAYS}', FIX)
     channels = about.get('channels', list(PAPER_CHANNELS))
     words = isinstance(channels, list) and all(isinstance(name, str) for name in channels)
-    if not words or channels != list(in_order(channels)):
+    if not words or channels != list(sorted_channels(channels)):
         raise BagError(path, f'channels are {channels!r:.80}, expected names in order', FIX)
     return about | {'layout': ScanLayout(tuple(channels), rays)}
 

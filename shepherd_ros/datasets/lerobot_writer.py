@@ -38,7 +38,7 @@ from shepherd_ros.datasets.lerobot_format import (
     TASK,
     TASKS,
 )
-from shepherd_ros.datasets.running_stats import Spread
+from shepherd_ros.datasets.running_stats import RunningStats
 from shepherd_ros.datasets.steps import Steps
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS, ScanLayout
@@ -63,7 +63,7 @@ class DatasetWriter:
         self._in_file = 0  # [bytes]
         self._data: Any = None
         self._kept: list[dict[str, Any]] = []  # of meta/episodes, not written yet
-        self._ranges, self._actions = Spread(len(PAPER_CHANNELS)), Spread(2)
+        self._ranges, self._actions = RunningStats(len(PAPER_CHANNELS)), RunningStats(2)
         try:
             shutil.rmtree(self.part, ignore_errors=True)
             (self.part / EPISODES).parent.mkdir(parents=True)
@@ -98,7 +98,7 @@ class DatasetWriter:
             return
         if not self.rows:
             self.dt, self.layout = steps.dt, steps.layout
-            self._ranges = Spread(len(steps.channels))
+            self._ranges = RunningStats(len(steps.channels))
         if (steps.dt, steps.layout) != (self.dt, self.layout):
             raise BagError(
                 steps.where,

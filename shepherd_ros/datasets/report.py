@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from shepherd_ros.config import ConfigError
-from shepherd_ros.datasets.running_stats import Spread
+from shepherd_ros.datasets.running_stats import RunningStats
 from shepherd_ros.datasets.steps import Steps
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 
@@ -25,9 +25,11 @@ class Report:
     first_drop: dict[str, str] = field(default_factory=dict)  # reason -> where
     sheep: Counter[int] = field(default_factory=Counter)  # flock -> episodes
     shepherds: Counter[int] = field(default_factory=Counter)  # team -> episodes
-    speed: Spread = field(default_factory=lambda: Spread(1))  # m/s, of whole steps
+    speed: RunningStats = field(default_factory=lambda: RunningStats(1))  # m/s, of whole steps
     channels: tuple[str, ...] = PAPER_CHANNELS
-    returns: Spread = field(default_factory=lambda: Spread(len(PAPER_CHANNELS)))  # share of rays
+    returns: RunningStats = field(
+        default_factory=lambda: RunningStats(len(PAPER_CHANNELS))
+    )  # share of rays
 
     def drop(self, reason: str, where: str, count: int = 1) -> None:
         """Count steps that are no example."""
@@ -52,7 +54,7 @@ class Report:
                     f'{steps.where}: scans have channels {", ".join(steps.channels)}, expected '
                     f'{", ".join(self.channels)} as in the bags before; take bags of one kind'
                 )
-            self.channels, self.returns = steps.channels, Spread(len(steps.channels))
+            self.channels, self.returns = steps.channels, RunningStats(len(steps.channels))
         if len(steps):
             self.returns.add(np.isfinite(steps.lidar).mean(axis=2))
 

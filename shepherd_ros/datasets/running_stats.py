@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 
-class Spread:
+class RunningStats:
     """How the numbers of some columns are spread; only what is finite counts."""
 
     def __init__(self, columns: int) -> None:

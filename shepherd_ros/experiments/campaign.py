@@ -15,7 +15,7 @@ from shepherd_ros import __version__
 from shepherd_ros.config import ConfigError
 from shepherd_ros.experiments.cells import Cell, run_into, TOGETHER
 from shepherd_ros.experiments.methods import checkpoint_hash, full_name
-from shepherd_ros.experiments.results import key_of, Rows
+from shepherd_ros.experiments.results import cell_key, Results
 from shepherd_ros.experiments.setting import Setting, settled
 from shepherd_ros.memory import keep_memory
 import torch
@@ -45,14 +45,14 @@ def plan(
     for name in dict.fromkeys(map(full_name, controllers)):
         for setting in dict.fromkeys(map(settled, settings)):
             whole = Cell(setting, name, seed, episodes)
-            key = key_of(whole.config(), checkpoint_hash(name), __version__)
+            key = cell_key(whole.config(), checkpoint_hash(name), __version__)
             for first, count in seed_batches(seed, episodes):
                 cell = replace(whole, first=first, count=count)
                 tasks.setdefault((key, first), Task(cell, key))
     return list(tasks.values())
 
 
-def done_of(tasks: Iterable[Task], rows: Rows) -> set[Task]:
+def done_of(tasks: Iterable[Task], rows: Results) -> set[Task]:
     """Return the tasks of which all rows are there."""
     return {
         task
@@ -63,7 +63,7 @@ def done_of(tasks: Iterable[Task], rows: Rows) -> set[Task]:
     }
 
 
-def codes_of(tasks: Iterable[Task], rows: Rows) -> list[str]:
+def codes_of(tasks: Iterable[Task], rows: Results) -> list[str]:
     """Return the commits that made the rows of done cells, ascending."""
     mine = np.isin(rows.columns['key'], list({task.key for task in tasks}))
     return sorted(set(rows.columns['code'][mine].tolist()))

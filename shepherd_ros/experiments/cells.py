@@ -10,7 +10,7 @@ from typing import Any
 import pyarrow as pa  # type: ignore[import-untyped]
 from shepherd_ros import __version__
 from shepherd_ros.experiments.methods import checkpoint_hash, make_method
-from shepherd_ros.experiments.results import key_of, table_of, value_names, write_rows
+from shepherd_ros.experiments.results import cell_key, table_of, value_names, write_rows
 from shepherd_ros.experiments.runner import run_episodes
 from shepherd_ros.experiments.setting import env_config, Setting, settled
 
@@ -55,7 +55,7 @@ def run_cell(cell: Cell, code: str = '') -> pa.Table:
     result = run_episodes(env_config(cell.setting), controller, cell.first, cell.count)
     checkpoint = checkpoint_hash(cell.controller)
     constants = settled(cell.setting).to_dict() | {
-        'key': key_of(config, checkpoint, __version__),
+        'key': cell_key(config, checkpoint, __version__),
         'controller': cell.controller,
         'config': json.dumps(config),
         'checkpoint_sha256': checkpoint,

@@ -13,7 +13,7 @@ from shepherd_ros.controllers import CONTROLLERS, make_controller
 from shepherd_ros.controllers.base import Controller
 from shepherd_ros.controllers.policy import LearnedConfig, LearnedController
 from shepherd_ros.experiments.setting import env_config, Setting
-from shepherd_ros.policy.checkpoint import checkpoint_file, load_policy, read_metadata
+from shepherd_ros.policy.checkpoint import checkpoint_file, load_policy, read_checkpoint_metadata
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.lidar import LidarConfig, scan
 from shepherd_ros.sim.presets import PRESETS
@@ -59,7 +59,7 @@ def kind_of(name: str) -> type[Controller]:
     return CONTROLLERS.get(kind, Controller)
 
 
-def in_order(names: list[str]) -> list[str]:
+def sorted_methods(names: list[str]) -> list[str]:
     """Return methods as pictures show them: policies, the paper's baselines, the others."""
     return sorted(names, key=lambda n: (kind_of(n).order, n))
 
@@ -101,7 +101,7 @@ def training_of(name: str) -> dict[str, Any]:
 
 def _record(name: str) -> dict[str, Any]:
     """Return what the checkpoint of a policy says about its making."""
-    return read_metadata(checkpoint_file(checkpoint_of(name)))[1]
+    return read_checkpoint_metadata(checkpoint_file(checkpoint_of(name)))[1]
 
 
 class FaultyLidarController(LearnedController):

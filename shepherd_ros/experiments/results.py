@@ -33,7 +33,7 @@ def schema() -> pa.Schema:
     """Return the columns of rows."""
     return pa.schema(
         [
-            ('key', pa.string()),  # key_of() what decides the episodes but their seeds
+            ('key', pa.string()),  # cell_key() of what decides the episodes but their seeds
             ('controller', pa.string()),
             *((f.name, KINDS[type(f.default)]) for f in fields(Setting) if f.name in FIELDS),
             ('seed', pa.int64()),
@@ -47,7 +47,7 @@ def schema() -> pa.Schema:
     )
 
 
-def key_of(config: Mapping[str, Any], checkpoint: str, version: str) -> str:
+def cell_key(config: Mapping[str, Any], checkpoint: str, version: str) -> str:
     """
     Return the hash by which rows are found again, or raise ConfigError.
 
@@ -69,7 +69,7 @@ def key_of(config: Mapping[str, Any], checkpoint: str, version: str) -> str:
 def _stored_key(key: str, config: str, checkpoint: str, version: str) -> str:
     """Return the key of a stored row; the one it has if its configuration is not known here."""
     try:
-        return key_of(json.loads(config), checkpoint, version)
+        return cell_key(json.loads(config), checkpoint, version)
     except ConfigError:
         return key
 
@@ -138,7 +138,7 @@ def read_table(path: Path) -> pa.Table:
     return pa.table(arrays, schema=schema())
 
 
-class Rows:
+class Results:
     """Episodes of many cells, as columns."""
 
     def __init__(self, table: pa.Table) -> None:
@@ -199,12 +199,12 @@ def _timeless(environment: EnvConfig) -> EnvConfig:
     return replace(environment, world=replace(environment.world, episode_steps=steps))
 
 
-def rows_in(folder: Path) -> Rows:
+def results_in(folder: Path) -> Results:
     """Return the rows of a folder, which may have none yet; or raise ConfigError."""
     paths = sorted(folder.rglob('*.parquet'))
-    return read_rows(paths) if paths else Rows(schema().empty_table())
+    return read_results(paths) if paths else Results(schema().empty_table())
 
 
-def read_rows(paths: Sequence[Path]) -> Rows:
+def read_results(paths: Sequence[Path]) -> Results:
     """Return the rows of files and folders, or raise ConfigError."""
-    return Rows(pa.concat_tables([read_table(path) for path in files_of(paths)]))
+    return Results(pa.concat_tables([read_table(path) for path in files_of(paths)]))

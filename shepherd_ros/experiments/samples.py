@@ -10,9 +10,9 @@ import numpy as np
 from shepherd_ros.config import ConfigError
 from shepherd_ros.experiments.bootstrap import Array
 from shepherd_ros.experiments.catalog import Experiment, QUICK_STEPS
-from shepherd_ros.experiments.methods import in_order
-from shepherd_ros.experiments.results import Rows, value_names
-from shepherd_ros.experiments.setting import describe, env_config, Setting, settled
+from shepherd_ros.experiments.methods import sorted_methods
+from shepherd_ros.experiments.results import Results, value_names
+from shepherd_ros.experiments.setting import describe_setting, env_config, Setting, settled
 
 FLOORS = ('idle', 'random')
 
@@ -31,7 +31,7 @@ class Samples:
     @property
     def controllers(self) -> list[str]:
         """Return who drove, in the order of pictures."""
-        return in_order(list({name for name, _ in self.values}))
+        return sorted_methods(list({name for name, _ in self.values}))
 
     @property
     def policies(self) -> list[str]:
@@ -46,11 +46,11 @@ class Samples:
 
     def axis(self, name: str) -> list[Any]:
         """Return the values of a field of the settings, or what `case` each one is."""
-        return [describe(s) if name == 'case' else getattr(s, name) for s in self.settings]
+        return [describe_setting(s) if name == 'case' else getattr(s, name) for s in self.settings]
 
 
 def samples_of(
-    rows: Rows, experiment: Experiment, least: int = 1, whole: bool = False
+    rows: Results, experiment: Experiment, least: int = 1, whole: bool = False
 ) -> Samples | None:
     """
     Return the episodes of an experiment, or raise ConfigError if they do not fit together.
@@ -95,14 +95,14 @@ def samples_of(
         chosen = chosen[np.argsort(rows.columns['seed'][chosen])]
         for metric in value_names():
             values[name, metric][present.index(place)] = rows.columns[metric][chosen]
-    out = tuple(in_order(list(count.keys() - {name for name, _ in cells})))
+    out = tuple(sorted_methods(list(count.keys() - {name for name, _ in cells})))
     there = tuple(settings[p] for p in present)
     return Samples(experiment, there, tuple(seeds), steps, values, out)
 
 
 def _of_whole(
     cells: dict[tuple[str, int], Array],
-    rows: Rows,
+    rows: Results,
     experiment: Experiment,
     settings: list[Setting],
 ) -> dict[tuple[str, int], Array]:
@@ -124,7 +124,7 @@ def _of_whole(
     return {key: index for key, index in cells.items() if most and len(seeds[key[0]]) == most}
 
 
-def _common(rows: Rows, cells: dict[tuple[str, int], np.ndarray], title: str) -> int:
+def _common(rows: Results, cells: dict[tuple[str, int], np.ndarray], title: str) -> int:
     """Return the steps of all episodes; ConfigError if results of two kinds are mixed."""
     used = np.concatenate(list(cells.values()))
     for name in ('steps', 'version'):

@@ -68,7 +68,7 @@ _TEXTS = {
 }
 
 
-def describe(setting: Setting) -> str:
+def describe_setting(setting: Setting) -> str:
     """Return in words how a setting differs from the default one."""
     base = settled(Setting(preset=setting.preset, flock=setting.flock))
     plain = Setting()

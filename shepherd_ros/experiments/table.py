@@ -12,14 +12,14 @@ from shepherd_ros.experiments.setting import FIELDS
 from shepherd_ros.sim.metrics import METRICS, shown
 
 
-def number(value: float) -> str:
+def number_text(value: float) -> str:
     """Return a number with three digits."""
     return f'{value:.0f}' if 100 <= abs(value) < 1e6 else f'{value:.3g}'
 
 
 def interval_text(mean: float, low: float, high: float) -> str:
     """Return a mean and its interval."""
-    return f'{number(mean)} [{number(low)}, {number(high)}]'
+    return f'{number_text(mean)} [{number_text(low)}, {number_text(high)}]'
 
 
 def varying(samples: Samples) -> list[str]:

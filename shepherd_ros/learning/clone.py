@@ -73,7 +73,7 @@ def running_mean(keep: float) -> Callable[[Weights, Weights, Tensor | int], None
     return take_in
 
 
-class Cloner:
+class CloneLearner:
     """
     Fits the actor to examples.
 

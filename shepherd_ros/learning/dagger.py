@@ -17,10 +17,10 @@ from shepherd_ros.controllers import make_controller
 from shepherd_ros.controllers.base import Controller
 from shepherd_ros.controllers.policy import require_same_world
 from shepherd_ros.experiments.methods import checkpoint_of, full_name
-from shepherd_ros.learning.clone import CloneConfig, Cloner, Examples
-from shepherd_ros.learning.dagger_bags import Visits
-from shepherd_ros.learning.group import Group
-from shepherd_ros.learning.run_folder import Run
+from shepherd_ros.learning.clone import CloneConfig, CloneLearner, Examples
+from shepherd_ros.learning.dagger_bags import DaggerBags
+from shepherd_ros.learning.group import WorldGroup
+from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.validation import validate
 from shepherd_ros.policy import inference
@@ -85,7 +85,7 @@ def _teacher(name: str, world: WorldConfig) -> Controller:
     return make_controller(name.partition(':')[0], world, **options)
 
 
-class Lesson:
+class LabelledWorlds:
     """A group of worlds in which a learner drives and a teacher says what it would do."""
 
     def __init__(
@@ -94,11 +94,11 @@ class Lesson:
         """Make the worlds and start their first episode, the shorter the lower the index."""
         self.config, self.policy, self.dtype = config, policy, dtype
         lidar = policy.config.lidar
-        self.group = Group(
+        self.group = WorldGroup(
             config.task, index, config.worlds, config.seed, lidar, count=bool(config.bag_folder)
         )
         self.full = config.task.episode_steps
-        self.visits = Visits(config.bag_folder)
+        self.bags = DaggerBags(config.bag_folder)
         self._begin(max(self.full * (index + 1) // config.groups, 1))
 
     def _begin(self, steps: int) -> None:
@@ -128,7 +128,7 @@ class Lesson:
 
     def _command(self, now: Moment) -> Tensor:
         """Return what the learner does, (B, H, 2) m/s."""
-        command, self.learned = inference.fly(
+        command, self.learned = inference.act(
             self.policy,
             lambda: now.ranges,
             now.state.shepherd_mask,
@@ -149,7 +149,7 @@ class Lesson:
                 wanted = turned(label[present], -first, frames.shape[-1])
                 examples.add(frames, first, wanted)
             driven = label if teacher_drives else command
-            self.visits.add(self.group, driven, label)
+            self.bags.add(self.group, driven, label)
             self.group.step(driven)
             if self.group.left <= 0:
                 self.close()
@@ -157,13 +157,13 @@ class Lesson:
 
     def close(self) -> None:
         """Finish the bags of the episode."""
-        self.visits.close(self.group.moment)
+        self.bags.close(self.group.moment)
 
 
 def train_dagger(
     policy: Policy,
     config: DaggerConfig,
-    run: Run,
+    run: RunFolder,
     on_line: Callable[[dict[str, Any]], None] = lambda line: None,
 ) -> Policy:
     """
@@ -172,8 +172,8 @@ def train_dagger(
     What drives, is judged and kept is a running mean of the weights that learn.
     """
     dtype = fast_dtype()
-    cloner = Cloner(deepcopy(policy), config.clone, config.seed)
-    lessons = [Lesson(config, policy, i, dtype) for i in range(config.groups)]
+    cloner = CloneLearner(deepcopy(policy), config.clone, config.seed)
+    lessons = [LabelledWorlds(config, policy, i, dtype) for i in range(config.groups)]
     examples = Examples(policy, config.buffer_size, dtype)
     begun = time.monotonic()
     for done in range(config.rounds):

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from shepherd_ros.config import ConfigError
-from shepherd_ros.learning.group import Group
+from shepherd_ros.learning.group import WorldGroup
 from shepherd_ros.recordings.record import (
     close_bags,
     episode_folder,
@@ -26,7 +26,7 @@ from torch import Tensor
 LABELS = 'teacher'  # namespace
 
 
-class Visits:
+class DaggerBags:
     """Writes the episodes of a group of worlds, a bag for each world and episode."""
 
     def __init__(self, out: Path | str, compression: str = 'zstd') -> None:
@@ -35,7 +35,7 @@ class Visits:
         self.compression = compression
         self.bags: list[EpisodeBag] = []
 
-    def add(self, group: Group, driven: Tensor, labels: Tensor) -> None:
+    def add(self, group: WorldGroup, driven: Tensor, labels: Tensor) -> None:
         """
         Write the group's states (B) with their scans, before they go on as commanded.
 
@@ -55,7 +55,7 @@ class Visits:
             close_bags(self.out, self.bags)
         self.bags = []
 
-    def _begin(self, out: Path, group: Group) -> None:
+    def _begin(self, out: Path, group: WorldGroup) -> None:
         """Open the bags of an episode, which is as long as it will be driven."""
         start = group.moment.state
         for seed in start.seed.tolist():

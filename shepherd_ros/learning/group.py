@@ -25,7 +25,7 @@ def team_reward(moment: Moment) -> Tensor:
     return moment.reward[:, None].expand(moment.state.shepherd_mask.shape)
 
 
-class Group:
+class WorldGroup:
     """Worlds of one configuration, which begin and end their episodes together."""
 
     def __init__(

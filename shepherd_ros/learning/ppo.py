@@ -64,7 +64,7 @@ def normalised(gain: Tensor) -> Tensor:
     return (gain - mean) / max(variance**0.5, 1e-8)
 
 
-class Learner:
+class PPOLearner:
     """A policy with an optimiser for each of its two networks."""
 
     def __init__(self, policy: Policy, config: PPOConfig) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from shepherd_ros.learning.distributed import rank
 from shepherd_ros.learning.gae import advantages
-from shepherd_ros.learning.group import CPU, Group, Reward, team_reward
+from shepherd_ros.learning.group import CPU, Reward, team_reward, WorldGroup
 from shepherd_ros.learning.store import Store
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.policy.policy import Policy
@@ -73,7 +73,7 @@ class Rollout:
         self.steps = task.episode_steps // repeat * repeat
         self.store = Store(policy, groups, worlds, task.shepherds_max, decisions, dtype)
         lidar, mine = policy.config.lidar, range(rank() * groups, (rank() + 1) * groups)
-        self.groups = [Group(task, g, worlds, seed, lidar, device=self.device) for g in mine]
+        self.groups = [WorldGroup(task, g, worlds, seed, lidar, device=self.device) for g in mine]
         for g, group in enumerate(self.groups):
             # the first episodes are of different length, so that not all end at once
             cut = self.steps * (g + 1) // groups // repeat * repeat

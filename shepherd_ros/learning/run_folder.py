@@ -22,7 +22,7 @@ UNREADABLE = (
 )  # fmt: skip
 
 
-class Run:
+class RunFolder:
     """
     A folder with run.json (what was asked), curve.jsonl, state.pt and best.safetensors.
 

@@ -13,8 +13,8 @@ from shepherd_ros.config import Config, ConfigError, option, part
 from shepherd_ros.datasets.examples import examples_of, stream_steps
 from shepherd_ros.datasets.report import Report
 from shepherd_ros.datasets.steps import Steps
-from shepherd_ros.learning.clone import CloneConfig, Cloner, Examples
-from shepherd_ros.learning.run_folder import Run
+from shepherd_ros.learning.clone import CloneConfig, CloneLearner, Examples
+from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.validation import validate
 from shepherd_ros.policy.network import fast_dtype
@@ -74,7 +74,7 @@ def train_bc(
     policy: Policy,
     places: Sequence[Path],
     config: BCConfig,
-    run: Run,
+    run: RunFolder,
     on_line: Callable[[dict[str, Any]], None] = lambda line: None,
 ) -> Report:
     """
@@ -86,7 +86,7 @@ def train_bc(
     """
     dtype = fast_dtype()
     examples = Examples(policy, config.buffer_size, dtype)
-    cloner = Cloner(deepcopy(policy), config.clone, config.seed)
+    cloner = CloneLearner(deepcopy(policy), config.clone, config.seed)
     begun, learned = time.monotonic(), 0
     report = Report()
     for epoch in range(config.epochs):

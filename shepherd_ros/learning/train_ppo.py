@@ -15,9 +15,9 @@ from shepherd_ros.learning.annealing import (
     stages,
 )
 from shepherd_ros.learning.distributed import least, rank, ranks, total
-from shepherd_ros.learning.ppo import Learner, PPOConfig
+from shepherd_ros.learning.ppo import PPOConfig, PPOLearner
 from shepherd_ros.learning.rollout import Rollout
-from shepherd_ros.learning.run_folder import Run
+from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.validation import validate
 from shepherd_ros.policy.network import fast_dtype
@@ -53,7 +53,7 @@ class Training:
         self.policy, self.config = policy, config
         self.dtype = fast_dtype(policy.device)
         self.stages = stages(policy.config, config.anneal)
-        self.learner = Learner(policy, config.ppo)
+        self.learner = PPOLearner(policy, config.ppo)
         self.generator = torch.Generator('cpu').manual_seed(config.seed + 1)
         self.progress = {'samples': 0, 'updates': 0, 'seconds': 0.0, 'world_steps': 0, 'stage': 0}
         self.enter(0)
@@ -118,7 +118,7 @@ class Training:
 def train_ppo(
     policy: Policy,
     config: PPORunConfig,
-    run: Run,
+    run: RunFolder,
     on_line: Callable[[dict[str, Any]], None] = lambda line: None,
 ) -> Policy:
     """
@@ -160,7 +160,7 @@ def train_ppo(
     return policy
 
 
-def check_together(updates: int, run: Run) -> None:
+def check_together(updates: int, run: RunFolder) -> None:
     """Raise ConfigError unless all processes go on from the same update."""
     if total(abs(updates - least(updates))) > 0:
         raise ConfigError(

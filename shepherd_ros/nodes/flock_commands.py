@@ -24,7 +24,7 @@ def seconds(ns: int) -> str:
     return f'{ns // 10**9}.{ns % 10**9:09d}'
 
 
-class CommandGate:
+class FlockCommands:
     """
     Subscribes to the commands of every shepherd of an episode and hands them on when due.
 

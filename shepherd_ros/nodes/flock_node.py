@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from shepherd_ros.config import ConfigError
-from shepherd_ros.nodes.flock_commands import CommandGate
+from shepherd_ros.nodes.flock_commands import FlockCommands
 from shepherd_ros.nodes.flock_pacing import Pacing
 from shepherd_ros.nodes.flock_parameters import declare_world
 from shepherd_ros.nodes.flock_publishers import WorldOutput
@@ -51,7 +51,7 @@ class FlockSim(ShepherdNode):
 
     def __init__(self, **kwargs: Any) -> None:
         """Create the node and start the first episode."""
-        compiled.start()
+        compiled.start_numba()
         super().__init__('flock_sim', **kwargs)
         self.world = declare_world(self)
         self.seed: int = self.option(
@@ -81,7 +81,7 @@ class FlockSim(ShepherdNode):
         self.steps_made = 0
         self.pacing = Pacing(self.wall())
         self.output = WorldOutput(self)
-        self.gate = CommandGate(self, self.on_answers)
+        self.flock_commands = FlockCommands(self, self.on_answers)
         self.requests = FlockRequests(
             self, self.pacing, self.begin_episode, self.move_goal, self.resume
         )
@@ -123,7 +123,7 @@ class FlockSim(ShepherdNode):
             mode=self.mode,
             world=self.world.to_dict(),
         )
-        self.gate.begin(self.episode)
+        self.flock_commands.begin(self.episode)
         self.output.episode(self.now_ns, self.episode, self.state)
         self.get_logger().info(
             f'episode {self.number}: seed {seed}, {self.world.n_sheep} sheep, {team} shepherds, '
@@ -160,16 +160,16 @@ class FlockSim(ShepherdNode):
     def on_answers(self) -> None:
         """In lockstep: every shepherd has answered."""
         if self.mode == 'lockstep' and not self.finished and self.pacing.may_move():
-            self.advance(self.gate.commands.velocity)
+            self.advance(self.flock_commands.commands.velocity)
 
     def on_tick(self) -> None:
         """In realtime: it is time for a step."""
         if not self.finished and self.pacing.may_move():
-            self.advance(self.gate.commands.held(self.gate.watchdog_steps))
+            self.advance(self.flock_commands.commands.held(self.flock_commands.watchdog_steps))
 
     def resume(self) -> None:
         """Go on after a pause was lifted or steps were asked for."""
-        if self.mode == 'lockstep' and self.gate.complete:
+        if self.mode == 'lockstep' and self.flock_commands.complete:
             self.on_answers()
 
     def watch(self) -> None:
@@ -182,21 +182,21 @@ class FlockSim(ShepherdNode):
         if self.finished or self.mode != 'lockstep':
             return
         waited = self.wall() - self.sent
-        if self.gate.complete:
+        if self.flock_commands.complete:
             if waited > PAUSED_RESEND:
                 self.publish_state(again=True)
         elif waited > self.resend:
-            if self.gate.named:  # who is silent for long may know of another episode
+            if self.flock_commands.named:  # who is silent for long may know of another episode
                 self.output.episode(self.now_ns, self.episode, self.state, seconds=0.0)
             self.publish_state(again=True)
-        self.gate.watch(self.patience)
+        self.flock_commands.watch(self.patience)
 
     # ---- what it publishes ----
 
     def publish_state(self, again: bool = False) -> None:
         """Publish the present state, and expect answers to it."""
         if not again:
-            self.gate.expect(self.now_ns, self.dt_ns)
+            self.flock_commands.expect(self.now_ns, self.dt_ns)
         self.sent = self.wall()
         self.output.state(self.now_ns, self.state, self.moment.before)
 
@@ -241,7 +241,7 @@ class FlockSim(ShepherdNode):
             steps_per_second=rate,
             mode=self.mode,
         )
-        return [episode, self.gate.diagnose()]
+        return [episode, self.flock_commands.diagnose()]
 
 
 def main() -> int:

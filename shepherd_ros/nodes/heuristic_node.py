@@ -33,7 +33,7 @@ class HeuristicNode(ShepherdNode):
 
     def __init__(self, controller: str = '', **kwargs: Any) -> None:
         """Create the node of the controller with that name, of a parameter if it is empty."""
-        compiled.start()
+        compiled.start_numba()
         super().__init__(controller or GENERIC, **kwargs)
         if not controller:
             names = tuple(sorted(CONTROLLERS.keys() - {'policy'}))  # which has its own node

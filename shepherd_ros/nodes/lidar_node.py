@@ -29,7 +29,7 @@ class LidarNode(ShepherdNode):
 
     def __init__(self, **kwargs: Any) -> None:
         """Create the node and its publishers."""
-        compiled.start()
+        compiled.start_numba()
         super().__init__('lidar', **kwargs)
         self.config = declare_config(self, LidarConfig())
         self.shepherd_ids: list[int] = self.option('shepherd_ids', [0], 'shepherds that carry it')

@@ -12,7 +12,7 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers.policy import action_draws, LearnedConfig, require_same_world
 from shepherd_ros.policy import inference
 from shepherd_ros.policy.checkpoint import load_policy
-from shepherd_ros.policy.inference import Memory
+from shepherd_ros.policy.inference import PolicyMemory
 from shepherd_ros.ros.episode_subscriber import listen_to_episodes
 from shepherd_ros.ros.intra_process import Output
 from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
@@ -63,7 +63,7 @@ class PolicyNode(ShepherdNode):
         self.present: list[int] = []
         self.refused = ''
         self.absent: list[str] = []  # scans that no lidar publishes
-        self.memory: Memory = {}
+        self.memory: PolicyMemory = {}
         self.newest = torch.empty(0)  # last ranges (H, C, R) m of those present
         self.last: tuple[int, Tensor] | None = None
         self.heard = self.wall()
@@ -82,7 +82,7 @@ class PolicyNode(ShepherdNode):
         ranges = torch.full((team, *self.policy.config.lidar.layout.shape), torch.inf)
         ranges[..., ::2] = 5.0
         there = torch.ones(team, dtype=torch.bool)
-        inference.fly(
+        inference.act(
             self.policy, lambda: ranges, there, inference.begin(self.policy, (), team), 1.0
         )
 
@@ -139,7 +139,7 @@ class PolicyNode(ShepherdNode):
             return action_draws(seed, step, episode.n_shepherds)[self.present]
 
         self.newest = newest
-        command, self.memory = inference.fly(
+        command, self.memory = inference.act(
             self.policy,
             lambda: newest,
             torch.ones_like(there),

@@ -9,7 +9,7 @@ from typing import Any
 
 
 @dataclass
-class Run:
+class SequenceRun:
     """Numbers that one publisher may have given: first and last, and when they were heard."""
 
     first: int
@@ -22,7 +22,7 @@ class Run:
         return number - 1 - self.last if self.ended < begun else -1
 
 
-class Numbering:
+class SequenceNumbers:
     """
     The numbers that messages of one topic have at their publishers.
 
@@ -35,7 +35,7 @@ class Numbering:
     def __init__(self) -> None:
         """Start with nothing heard."""
         self.publishers: set[bytes] = set()  # that were ever there
-        self.runs: list[Run] = []
+        self.runs: list[SequenceRun] = []
         self.missing = self.heard = 0
 
     def take(self, number: int, look: Callable[[], set[bytes]]) -> None:
@@ -49,7 +49,7 @@ class Numbering:
             self.publishers |= look()
             if len(self.runs) >= len(self.publishers) and self._explain(number):
                 return
-        self.runs.append(Run(number, number, self.heard, self.heard))
+        self.runs.append(SequenceRun(number, number, self.heard, self.heard))
 
     def _explain(self, number: int) -> bool:
         """
@@ -57,7 +57,7 @@ class Numbering:
 
         If the gap is between two runs, they become one, and the number begins another.
         """
-        gaps: list[tuple[int, Run, Run | None]] = [
+        gaps: list[tuple[int, SequenceRun, SequenceRun | None]] = [
             (run.gap_to(number, self.heard), run, None) for run in self.runs
         ]
         gaps += [
@@ -84,7 +84,7 @@ class Losses:
     def __init__(self, publishers: Callable[[str], set[bytes]]) -> None:
         """Start with none; publishers(topic) returns the identities of those there now."""
         self.publishers = publishers
-        self.topics: defaultdict[str, Numbering] = defaultdict(Numbering)
+        self.topics: defaultdict[str, SequenceNumbers] = defaultdict(SequenceNumbers)
         self.drops: Counter[str] = Counter()
 
     def heard(self, topic: str, number: int | None) -> None:

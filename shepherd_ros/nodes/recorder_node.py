@@ -13,7 +13,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
 from shepherd_ros.nodes.recorder_options import RecorderOptions
-from shepherd_ros.nodes.recorder_subscriptions import Intake
+from shepherd_ros.nodes.recorder_subscriptions import RecorderSubscriptions
 from shepherd_ros.recordings.writer import LOST_KEY, RecordingWriter
 from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.ros.runtime import run
@@ -66,7 +66,7 @@ class Recorder(ShepherdNode):
         self.clock_ns = 0
         self.rate_of = (self.wall(), 0)  # when and how many messages at the last report
         wait = EPISODE_WAIT if options.per_episode else 0.0
-        self.intake = Intake(self, self._heard, self._refuse, wait)
+        self.intake = RecorderSubscriptions(self, self._heard, self._refuse, wait)
         self.losses = self.intake.losses
         self.create_service(Trigger, '~/start', self._server(True))
         self.create_service(Trigger, '~/stop', self._server(False))

@@ -25,7 +25,7 @@ DEPTH = 10_000  # messages that may wait for the recorder, per topic
 Row = tuple[str, bytes, dict[str, int]]  # topic, message, times and number
 
 
-class Held(CallbackGroup):
+class PolledGroup(CallbackGroup):
     """
     Subscriptions whose messages no executor takes: that would cost more than to write them.
 
@@ -48,7 +48,7 @@ class Held(CallbackGroup):
 
 
 @dataclass
-class Input:
+class RecordedTopic:
     """A subscription, and who publishes what it hears."""
 
     kind: str
@@ -58,7 +58,7 @@ class Input:
     offers: list[Any] = field(default_factory=list)  # publishers when they were last seen
 
 
-class Intake:
+class RecorderSubscriptions:
     """
     Subscribes to topics and hands out what came, in the order in which it came.
 
@@ -79,11 +79,11 @@ class Intake:
         With wait [s] messages are in the order in which they were sent, if none is later than so.
         """
         self.node, self.wanted, self.refuse = node, wanted, refuse
-        self.inputs: dict[str, Input] = {}
+        self.inputs: dict[str, RecordedTopic] = {}
         self.refused: dict[str, str] = {}
         self.losses = Losses(self._publishers)
         self.wait_ns, self.order = round(wait * 1e9), _sent if wait else _received
-        self.group = Held()
+        self.group = PolledGroup()
         self.kept: list[Row] = []  # came after the last look at another topic began
         self.expect(node.get_namespace().rstrip('/'))
         self.look()
@@ -163,7 +163,7 @@ class Intake:
         heard.offers = offers
         self.losses.topics[name].publishers |= _ids(offers)
 
-    def _subscribe(self, name: str, kind: str, reliable: bool, latched: bool) -> Input:
+    def _subscribe(self, name: str, kind: str, reliable: bool, latched: bool) -> RecordedTopic:
         """Listen to a topic, instead of what was listened to before."""
         message = message_type(kind)
         if kind not in wire_types():
@@ -191,7 +191,7 @@ class Intake:
                 message_lost=partial(self.losses.lost, name), use_default_callbacks=False
             ),
         )
-        self.inputs[name] = Input(kind, reliable, latched, subscription)
+        self.inputs[name] = RecordedTopic(kind, reliable, latched, subscription)
         return self.inputs[name]
 
     def _refuse(self, name: str, why: str) -> None:

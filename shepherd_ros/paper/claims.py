@@ -95,7 +95,7 @@ class Claim:
 
 
 @dataclass(frozen=True)
-class Finding:
+class ClauseFinding:
     """What came of a clause: our number, its interval, the verdict, and why if there is none."""
 
     clause: Clause
@@ -120,21 +120,23 @@ def verdict(low: float, high: float, least: float, most: float) -> str:
     return DISAGREES if high < least or low > most else UNDECIDED
 
 
-def judge(clause: Clause, sweep: Sweep) -> Finding:
+def finding_of(clause: Clause, sweep: Sweep) -> ClauseFinding:
     """Return what the rows say about a clause."""
     nan = math.nan
     if len(sweep.samples.seeds) < 2:
-        return Finding(clause, nan, nan, nan, UNDECIDED, 'a single episode has no interval')
+        return ClauseFinding(clause, nan, nan, nan, UNDECIDED, 'a single episode has no interval')
     try:
         with np.errstate(divide='ignore', invalid='ignore'):  # then there is no verdict
             drawn = clause.quantity(sweep)
     except MissingError as error:
-        return Finding(clause, nan, nan, nan, UNDECIDED, str(error))
+        return ClauseFinding(clause, nan, nan, nan, UNDECIDED, str(error))
     low, high = (float(end) for end in percentiles(drawn[1:]))
-    return Finding(clause, float(drawn[0]), low, high, verdict(low, high, clause.low, clause.high))
+    return ClauseFinding(
+        clause, float(drawn[0]), low, high, verdict(low, high, clause.low, clause.high)
+    )
 
 
-def together(verdicts: list[str]) -> str:
+def combined_verdict(verdicts: list[str]) -> str:
     """Return the verdict on a statement from those on its clauses."""
     if DISAGREES in verdicts:
         return DISAGREES

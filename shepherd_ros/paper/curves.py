@@ -88,7 +88,7 @@ def rise_and_end(curve: Curve) -> tuple[float, float]:
     return whole, slope * END * float(last) / whole
 
 
-def judge_curve(curve: Curve) -> tuple[str, str]:
+def curve_verdict(curve: Curve) -> tuple[str, str]:
     """
     Return verdict and reason on: the curve rises and flattens within 100 million samples.
 

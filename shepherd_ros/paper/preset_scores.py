@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from shepherd_ros.paper.preset_search import findings, Known, worth
-from shepherd_ros.paper.report import bounds, number
+from shepherd_ros.paper.report import bounds, finding_text
 from shepherd_ros.sim.presets import PRESETS
 
 
@@ -31,7 +31,7 @@ def preset_scores(
     lines = [head, ['---', '---', '--:', *('--:' for _ in found)]]
     for key, first in found[names[0]].items():
         text = first.clause.text
-        each = [f'{number(f[key])}, {f[key].verdict}' for f in found.values()]
+        each = [f'{finding_text(f[key])}, {f[key].verdict}' for f in found.values()]
         lines.append([key.removesuffix(f': {text}'), text, bounds(first.clause), *each])
     scores = [worth(f.verdict for f in each.values()) for each in found.values()]
     count = len(lines) - 2

@@ -20,10 +20,17 @@ import pyarrow as pa  # type: ignore[import-untyped]
 from shepherd_ros.config import ConfigError
 from shepherd_ros.experiments.catalog import BASELINES, Experiment, EXPERIMENTS
 from shepherd_ros.experiments.cells import Cell, run_cell
-from shepherd_ros.experiments.results import Rows
+from shepherd_ros.experiments.results import Results
 from shepherd_ros.experiments.samples import samples_of
 from shepherd_ros.experiments.setting import settled
-from shepherd_ros.paper.claims import AGREES, DISAGREES, Finding, judge, Sweep, UNDECIDED
+from shepherd_ros.paper.claims import (
+    AGREES,
+    ClauseFinding,
+    DISAGREES,
+    finding_of,
+    Sweep,
+    UNDECIDED,
+)
 from shepherd_ros.paper.statements import CLAIMS
 from shepherd_ros.sim.presets import Preset, PRESETS
 
@@ -112,7 +119,7 @@ def short(name: str) -> Experiment:
 
 def findings(
     preset: Preset, episodes: int, steps: int = 1000, known: Known | None = None
-) -> dict[str, Finding]:
+) -> dict[str, ClauseFinding]:
     """
     Run the baselines in a preset; return what comes of the numbers about them alone, by text.
 
@@ -131,13 +138,13 @@ def findings(
                 if key not in known:
                     known[key] = run_cell(cell)
                 tables.append(known[key])
-        rows = Rows(pa.concat_tables(tables))
+        rows = Results(pa.concat_tables(tables))
         found = {}
         for claim in CLAIMS:
             samples = samples_of(rows, experiments[claim.experiment])
             assert samples is not None, 'all of an experiment was run'
             for clause in claim.clauses:
-                finding = judge(clause, Sweep(samples, ''))
+                finding = finding_of(clause, Sweep(samples, ''))
                 if not finding.reason:  # else it needs a policy
                     found[f'{claim.experiment}: {claim.statement}: {clause.text}'] = finding
         return found

@@ -83,7 +83,7 @@ def highest(metric: str, methods: tuple[str, ...], where: Where | None = None) -
     return lambda s: np.max([s.mean(m, metric, where) for m in methods], axis=(0, 1))
 
 
-def flat(text: str, method: str, where: Where | None = None, last: float = 0.0) -> Clause:
+def flat_time(text: str, method: str, where: Where | None = None, last: float = 0.0) -> Clause:
     """Return: the completion time is never more than FLAT above that of the first point."""
 
     def quantity(s: Sweep) -> Array:

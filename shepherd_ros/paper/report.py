@@ -8,20 +8,20 @@ from itertools import groupby
 import math
 
 from shepherd_ros.experiments.methods import checkpoint_hash, how_made, label
-from shepherd_ros.experiments.results import Rows
+from shepherd_ros.experiments.results import Results
 from shepherd_ros.experiments.samples import Samples
 from shepherd_ros.experiments.table import interval_text
 from shepherd_ros.paper.claims import (
     ABOUT,
     AGREES,
     Clause,
+    ClauseFinding,
+    combined_verdict,
     DISAGREES,
-    Finding,
     NEAR,
-    together,
     UNDECIDED,
 )
-from shepherd_ros.paper.verdicts import Judgement
+from shepherd_ros.paper.verdicts import Verdict
 
 VERDICTS = (AGREES, DISAGREES, UNDECIDED)
 WHOLE = 1000  # steps of the paper's episodes
@@ -60,10 +60,10 @@ baselines open; these rows use preset
 
 
 def page(
-    judgements: Sequence[Judgement],
+    outcomes: Sequence[Verdict],
     samples: Mapping[str, Samples],
     pictures: Sequence[str],
-    rows: Rows,
+    rows: Results,
     command: str,
     reasons: str = '',
 ) -> str:
@@ -81,14 +81,14 @@ def page(
         '',
         *policies(used),
         '',
-        *summary(judgements),
+        *verdict_summary(outcomes),
     ]
     for name, title in TITLES.items():
-        mine = [j for j in judgements if j.experiment == name]
+        mine = [j for j in outcomes if j.experiment == name]
         if mine or name in pictures:
             lines += ['', f'## {title}', '', *picture(name, title, pictures)]
-            lines += verdicts([j for j in mine if j.counts])
-            lines += folded(verdicts([j for j in mine if not j.counts]))
+            lines += verdict_tables([j for j in mine if j.counts])
+            lines += folded(verdict_tables([j for j in mine if not j.counts]))
     beyond = [name for name in samples if name not in TITLES]
     if beyond:
         lines += ['', '## Beyond the paper', '', 'Numbers with intervals: `summary.csv`.']
@@ -98,7 +98,7 @@ def page(
     return '\n'.join(lines).rstrip() + '\n'
 
 
-def origin(rows: Rows) -> str:
+def origin(rows: Results) -> str:
     """Return where rows come from, in a sentence."""
     code = ', '.join(f'`{c}`' for c in rows.distinct('code') if c) or 'not known'
     versions = ', '.join(rows.distinct('version'))
@@ -136,16 +136,16 @@ def policies(names: Sequence[str]) -> list[str]:
     return lines if names else ['No policy was evaluated.']
 
 
-def summary(judgements: Sequence[Judgement]) -> list[str]:
+def verdict_summary(outcomes: Sequence[Verdict]) -> list[str]:
     """Return how many statements have which verdict, by figure; with all policies that count."""
     lines = [f'| | {" | ".join(VERDICTS)} |', '|---|--:|--:|--:|']
     total: Counter[str] = Counter()
     for name, title in TITLES.items():
         found: dict[str, list[str]] = {}  # statement -> verdicts, one for each policy
-        for judgement in judgements:
-            if judgement.experiment == name and judgement.counts:
-                found.setdefault(judgement.statement, []).append(judgement.verdict)
-        counts = Counter(map(together, found.values()))
+        for outcome in outcomes:
+            if outcome.experiment == name and outcome.counts:
+                found.setdefault(outcome.statement, []).append(outcome.verdict)
+        counts = Counter(map(combined_verdict, found.values()))
         total += counts
         if counts:
             cells = ' | '.join(str(counts[v]) for v in VERDICTS)
@@ -165,7 +165,7 @@ def bounds(clause: Clause) -> str:
     return '' if math.isinf(clause.low) and math.isinf(clause.high) else clause.bounds
 
 
-def number(finding: Finding) -> str:
+def finding_text(finding: ClauseFinding) -> str:
     """Return our number with its interval, or why there is none."""
     if math.isnan(finding.value):
         return finding.reason
@@ -173,10 +173,10 @@ def number(finding: Finding) -> str:
     return f'{text}; {finding.reason}' if finding.reason else text
 
 
-def verdicts(judgements: Sequence[Judgement]) -> list[str]:
+def verdict_tables(outcomes: Sequence[Verdict]) -> list[str]:
     """Return the tables of the verdicts on a figure, one for each policy that stands for RL."""
     lines: list[str] = []
-    ordered = sorted(judgements, key=lambda j: j.policy)
+    ordered = sorted(outcomes, key=lambda j: j.policy)
     for policy, group in groupby(ordered, key=lambda j: j.policy):
         who = label(policy) if policy.startswith('policy:') else policy
         if policy:
@@ -185,8 +185,8 @@ def verdicts(judgements: Sequence[Judgement]) -> list[str]:
             '| the paper states | verdict | number | ours | agrees if | verdict | until home |',
             '|---|---|---|--:|--:|---|---|',
         ]
-        for judgement in group:
-            lines += claim_lines(judgement)
+        for outcome in group:
+            lines += claim_lines(outcome)
         lines.append('')
     return lines
 
@@ -199,13 +199,13 @@ def folded(lines: list[str]) -> list[str]:
     return [head, '', *lines, '</details>', '']
 
 
-def claim_lines(judgement: Judgement) -> list[str]:
+def claim_lines(outcome: Verdict) -> list[str]:
     """Return a line for each number of a statement."""
     lines = []
-    pairs = zip(judgement.findings, judgement.until_completion, strict=True)
+    pairs = zip(outcome.findings, outcome.until_completion, strict=True)
     for k, (finding, other) in enumerate(pairs):
-        first = (judgement.statement, f'**{judgement.verdict}**') if k == 0 else ('', '')
-        until = f'{number(other)}, {other.verdict}' if other else ''
-        cells = [*first, finding.clause.text, number(finding), bounds(finding.clause)]
+        first = (outcome.statement, f'**{outcome.verdict}**') if k == 0 else ('', '')
+        until = f'{finding_text(other)}, {other.verdict}' if other else ''
+        cells = [*first, finding.clause.text, finding_text(finding), bounds(finding.clause)]
         lines.append(f'| {" | ".join([*cells, finding.verdict, until])} |')
     return lines

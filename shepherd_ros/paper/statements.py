@@ -12,7 +12,7 @@ from shepherd_ros.paper.quantities import (
     change,
     extent,
     FLAT,
-    flat,
+    flat_time,
     gain,
     highest,
     largest,
@@ -122,9 +122,9 @@ STATEMENTS: dict[str, dict[str, tuple[Clause, ...]]] = {
             Clause('time at 2 m over that at 0.6 m', change(S, TIME, 0.6, 2.0), low=1 + FLAT),
         ),
         'The time of RL does not rise until 1.4 m': (
-            flat('largest time until 1.4 m over that at 0', RL, lambda x: x <= 1.41, 1.4),
+            flat_time('largest time until 1.4 m over that at 0', RL, lambda x: x <= 1.41, 1.4),
         ),
-        'The time of Pierson is constant': (flat('largest time over that at 0', P),),
+        'The time of Pierson is constant': (flat_time('largest time over that at 0', P),),
         (
             'Pierson has the longest shepherd paths, at high noise twice those of RL and five '
             'times those of Strömbom'

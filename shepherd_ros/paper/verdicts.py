@@ -14,15 +14,15 @@ from shepherd_ros.experiments.value_map import BEHIND, value_map
 from shepherd_ros.paper.claims import (
     Claim,
     Clause,
-    Finding,
-    judge,
+    ClauseFinding,
+    combined_verdict,
+    finding_of,
     Sweep,
     TO_COMPLETION,
-    together,
     UNDECIDED,
     verdict,
 )
-from shepherd_ros.paper.curves import Curve, judge_curve
+from shepherd_ros.paper.curves import Curve, curve_verdict
 from shepherd_ros.paper.statements import CLAIMS
 from shepherd_ros.sim.flocking import BOTH
 
@@ -30,20 +30,22 @@ MAPS = 20  # starts of which the critic's values are looked at
 
 
 @dataclass(frozen=True)
-class Judgement:
+class Verdict:
     """A statement, who stands for RL in it, and what came of its clauses."""
 
     experiment: str
     statement: str
     policy: str  # full name; empty where RL does not matter
-    findings: tuple[Finding, ...]
-    until_completion: tuple[Finding | None, ...]  # with paths counted until then; None: no path
+    findings: tuple[ClauseFinding, ...]
+    until_completion: tuple[
+        ClauseFinding | None, ...
+    ]  # with paths counted until then; None: no path
     counts: bool = True  # who stands for RL was trained as in the paper: PPO, on this flock alone
 
     @property
     def verdict(self) -> str:
         """Return the verdict on the whole statement."""
-        return together([finding.verdict for finding in self.findings])
+        return combined_verdict([finding.verdict for finding in self.findings])
 
 
 def has_critic(policy: str) -> bool:
@@ -63,24 +65,24 @@ def as_the_paper(policy: str, flock: str) -> bool:
     return not policy or (has_critic(policy) and trained_on(policy) == {flock})
 
 
-def judge_samples(samples: Samples) -> list[Judgement]:
+def verdicts_on_samples(samples: Samples) -> list[Verdict]:
     """Return the judgements on an experiment, for each policy that was evaluated in it."""
-    found: dict[tuple[str, str], Judgement] = {}
+    found: dict[tuple[str, str], Verdict] = {}
     for claim in CLAIMS:
         if claim.experiment != samples.experiment.name:
             continue
         for policy in samples.policies or ['']:
-            judgement = _judge_claim(claim, samples, policy)
-            found.setdefault((claim.statement, judgement.policy), judgement)
+            outcome = _judge_claim(claim, samples, policy)
+            found.setdefault((claim.statement, outcome.policy), outcome)
     return list(found.values())
 
 
-def _judge_claim(claim: Claim, samples: Samples, policy: str) -> Judgement:
+def _judge_claim(claim: Claim, samples: Samples, policy: str) -> Verdict:
     """Return what came of a claim with a policy in the place of RL."""
     findings, others, with_rl = [], [], False
     for clause in claim.clauses:
         sweep = Sweep(samples, policy)
-        finding = judge(clause, sweep)
+        finding = finding_of(clause, sweep)
         mine = any(method == 'RL' for method, _ in sweep.asked)
         with_rl |= mine
         if mine and policy and claim.experiment == 'fig8' and 'reynolds' not in trained_on(policy):
@@ -89,8 +91,8 @@ def _judge_claim(claim: Claim, samples: Samples, policy: str) -> Judgement:
             )
         findings.append(finding)
         paths = any(metric in TO_COMPLETION for _, metric in sweep.asked)
-        others.append(judge(clause, Sweep(samples, policy, True)) if paths else None)
-    return Judgement(
+        others.append(finding_of(clause, Sweep(samples, policy, True)) if paths else None)
+    return Verdict(
         claim.experiment,
         claim.statement,
         (policy or 'none') if with_rl else '',
@@ -106,34 +108,34 @@ def _plain(text: str) -> Clause:
 
 
 def _single(
-    experiment: str, statement: str, policy: str, *findings: Finding, counts: bool = True
-) -> Judgement:
-    return Judgement(experiment, statement, policy, findings, (None,) * len(findings), counts)
+    experiment: str, statement: str, policy: str, *findings: ClauseFinding, counts: bool = True
+) -> Verdict:
+    return Verdict(experiment, statement, policy, findings, (None,) * len(findings), counts)
 
 
-def judge_curves(curves: Sequence[Curve]) -> list[Judgement]:
+def verdicts_on_curves(curves: Sequence[Curve]) -> list[Verdict]:
     """Return the judgement on figure 3 for each policy, with a finding for each training."""
     statement, found = 'The return rises and flattens within 100 million samples', []
     for policy in dict.fromkeys(curve.policy for curve in curves):
         own, findings = [curve for curve in curves if curve.policy == policy], []
         for curve in own:
-            result, reason = judge_curve(curve)
+            result, reason = curve_verdict(curve)
             numbers = (math.nan, math.nan, math.nan)
-            findings.append(Finding(_plain(curve.name), *numbers, result, reason))
+            findings.append(ClauseFinding(_plain(curve.name), *numbers, result, reason))
         by_reward = not own[0].judged  # other trainings know no reward
         found.append(_single('fig3', statement, policy, *findings, counts=by_reward))
     if found:
         return found
-    missing = Finding(_plain('curve'), math.nan, math.nan, math.nan, UNDECIDED, 'no curves')
+    missing = ClauseFinding(_plain('curve'), math.nan, math.nan, math.nan, UNDECIDED, 'no curves')
     return [_single('fig3', statement, 'none', missing)]
 
 
-def judge_values(policies: Sequence[str]) -> list[Judgement]:
+def verdicts_on_values(policies: Sequence[str]) -> list[Verdict]:
     """Return the judgements on figure 9 for policies with critics."""
     behind = 'The best place for a third shepherd is behind the flock, seen from the goal'
     areas = 'The areas of high value are large for the Strömbom flock, small for Reynolds'
     nan = math.nan
-    found: list[Judgement] = []
+    found: list[Verdict] = []
     shares: dict[str, dict[str, Array]] = {'strombom': {}, 'reynolds': {}}  # by flock and policy
     for policy in policies:
         maps = [value_map(loaded(checkpoint_of(policy)), seed) for seed in range(MAPS)]
@@ -141,13 +143,13 @@ def judge_values(policies: Sequence[str]) -> list[Judgement]:
         clause = Clause(
             'cosine between best place and straight behind', _plain('').quantity, BEHIND
         )
-        finding = Finding(clause, value, low, high, verdict(low, high, BEHIND, math.inf))
+        finding = ClauseFinding(clause, value, low, high, verdict(low, high, BEHIND, math.inf))
         found.append(_single('fig9', behind, policy, finding))
         for flock in trained_on(policy):
             shares[flock][policy] = np.array([m.high_share for m in maps])
     if not found:
         reason = 'no checkpoint with a trained critic'
-        missing = Finding(_plain('critic'), nan, nan, nan, UNDECIDED, reason)
+        missing = ClauseFinding(_plain('critic'), nan, nan, nan, UNDECIDED, reason)
         found = [_single('fig9', behind, 'none', missing)]
     clause = Clause(
         'share of the plane with high values, Strömbom over Reynolds', _plain('').quantity, 1.0
@@ -159,10 +161,10 @@ def judge_values(policies: Sequence[str]) -> list[Judgement]:
     ]
     for left, right, ratios in pairs:
         value, low, high = map(float, mean_interval(ratios))
-        finding = Finding(clause, value, low, high, verdict(low, high, 1.0, math.inf))
+        finding = ClauseFinding(clause, value, low, high, verdict(low, high, 1.0, math.inf))
         found.append(_single('fig9', areas, f'{label(left)} and {label(right)}', finding))
     if pairs:
         return found
     reason = 'needs critics trained with both flocks'
-    missing = Finding(clause, nan, nan, nan, UNDECIDED, reason)
+    missing = ClauseFinding(clause, nan, nan, nan, UNDECIDED, reason)
     return [*found, _single('fig9', areas, 'none', missing)]

@@ -20,9 +20,11 @@ def card(name: str, policy: Policy, record: Mapping[str, Any]) -> str:
     actor = sum(p.numel() for p in policy.actor.parameters())
     held = config.action_repeat
     lines = [f'# Checkpoint `{name}`', '', '## How it was made', '']
-    commands = said(record.get('command', 'the checkpoint does not say')).split(' && ')
+    commands = printable(record.get('command', 'the checkpoint does not say')).split(' && ')
     lines += ['```bash', *commands, '```', '']
-    lines += [f'- {title}: {said(record[key])}' for key, title in MADE.items() if key in record]
+    lines += [
+        f'- {title}: {printable(record[key])}' for key, title in MADE.items() if key in record
+    ]
     progress = record.get('progress')
     if isinstance(progress, Mapping) and isinstance(progress.get('samples'), int):
         lines.append(f'- kept at {progress["samples"]:,} samples of its last run')
@@ -47,7 +49,7 @@ def card(name: str, policy: Policy, record: Mapping[str, Any]) -> str:
     return '\n'.join(lines).rstrip() + '\n'
 
 
-def said(value: object) -> str:
+def printable(value: object) -> str:
     """Return what a file says as text that neither a terminal nor Markdown takes for more."""
     text = str(value)[:LONGEST]
     return (text if text.isprintable() else ascii(text)).replace('`', "'").replace('|', '/')
@@ -70,11 +72,11 @@ def _evaluation(results: Any) -> list[str]:
     return [*head, '', '| | mean |', '|---|--:|', *rows, '']
 
 
-def flat(data: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+def flat_items(data: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Yield names and values, a part.name for each of a part."""
     for key, value in data.items():
         if isinstance(value, Mapping):
-            yield from ((f'{key}.{name}', inner) for name, inner in flat(value))
+            yield from ((f'{key}.{name}', inner) for name, inner in flat_items(value))
         else:
             yield str(key), value
 
@@ -85,5 +87,5 @@ def trained_for(config: Any) -> list[str]:
     task = run.get('task') if isinstance(run, Mapping) else None
     if not isinstance(task, Mapping):
         return []
-    rows = [f'| {said(key)} | {said(value)} |' for key, value in flat(task)]
+    rows = [f'| {printable(key)} | {printable(value)} |' for key, value in flat_items(task)]
     return ['## Worlds of its training', '', '| | |', '|---|--:|', *rows, '']

@@ -64,7 +64,7 @@ def shipped_checkpoints() -> list[str]:
         return []
 
 
-def read_metadata(path: Path) -> tuple[PolicyConfig, dict[str, Any], str]:
+def read_checkpoint_metadata(path: Path) -> tuple[PolicyConfig, dict[str, Any], str]:
     """Return configuration, record and package version of a checkpoint, without its weights."""
     if path.stat().st_size > LARGEST:
         raise ConfigError(f'{path} has more than {LARGEST} bytes: not a checkpoint of ours')
@@ -97,7 +97,7 @@ def read_metadata(path: Path) -> tuple[PolicyConfig, dict[str, Any], str]:
 def load_policy(name: str, device: str = 'cpu') -> Policy:
     """Return the policy of a checkpoint in float32, or raise ConfigError; name: a file or name."""
     path = checkpoint_file(name)
-    config, _, _ = read_metadata(path)
+    config, _, _ = read_checkpoint_metadata(path)
     with torch.device('meta'):
         policy = Policy(config)
     wanted = policy.state_dict()

@@ -60,7 +60,7 @@ def _bits(tensor: Tensor) -> np.ndarray:
     return tensor.detach().view(INTEGER[tensor.dtype]).numpy()
 
 
-def usable(x: Tensor) -> bool:
+def _compilable(x: Tensor) -> bool:
     """Return whether the compiled form exists for a tensor."""
     return AVAILABLE and x.device.type == 'cpu' and x.dtype in INTEGER
 
@@ -74,7 +74,7 @@ def pool(x: Tensor) -> tuple[Tensor, Tensor]:
     return out, winner
 
 
-def spread(gradient: Tensor, winner: Tensor, width: int) -> Tensor:
+def unpool(gradient: Tensor, winner: Tensor, width: int) -> Tensor:
     """Return the gradient (B, width, C) of what was pooled from that (B, P, C) of the result."""
     out = gradient.new_empty(gradient.shape[0], width, gradient.shape[2])
     _spread(_bits(gradient.contiguous()), winner.numpy(), _bits(out))
@@ -94,14 +94,14 @@ def first_stage(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
 
     weight is (F, C, K), bias (F).
     """
-    if not usable(x):
+    if not _compilable(x):
         return plain_stage(x.transpose(1, 2), weight, bias).transpose(1, 2)
     return _FirstStage.apply(x, _window_weight(weight, bias).to(x.dtype))
 
 
 def second_stage(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     """Return plain_stage(); (B, L, C) -> (B, P, F); weight is (F, C, K), bias (F)."""
-    if not usable(x):
+    if not _compilable(x):
         return plain_stage(x.transpose(1, 2), weight, bias).transpose(1, 2)
     flat = weight[:, :, None].to(x.dtype).contiguous(memory_format=torch.channels_last)
     return _SecondStage.apply(x.contiguous(), flat, bias.to(x.dtype))
@@ -139,7 +139,7 @@ class _FirstStage(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor]:
         windows, winner = ctx.saved_tensors
-        wide = spread(gradients[0], winner, winner.shape[1] * WINDOW)
+        wide = unpool(gradients[0], winner, winner.shape[1] * WINDOW)
         return None, (windows.T @ wide.view(len(windows), -1)).T
 
 
@@ -158,7 +158,7 @@ class _SecondStage(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         x, weight, winner = ctx.saved_tensors
-        wide = spread(gradients[0], winner, ctx.width)
+        wide = unpool(gradients[0], winner, ctx.width)
         grads = torch.ops.aten.convolution_backward(
             wide.transpose(1, 2)[:, :, None],
             x.transpose(1, 2)[:, :, None],

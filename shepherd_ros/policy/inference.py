@@ -9,13 +9,13 @@ from shepherd_ros.sim.vectors import clip_norm
 import torch
 from torch import Tensor
 
-Memory = dict[str, Tensor]
+PolicyMemory = dict[str, Tensor]
 
 
 def begin(
     policy: Policy, batch: tuple[int, ...], team: int, dtype: torch.dtype = torch.float32
-) -> Memory:
-    """Return the memory of teams (*batch, team) that have seen nothing; dtype as for fly()."""
+) -> PolicyMemory:
+    """Return the memory of teams (*batch, team) that have seen nothing; dtype as for act()."""
     config, device = policy.config, policy.device
     shape = (*batch, team, config.frames.window, *config.lidar.layout.shape)
     return {
@@ -27,14 +27,14 @@ def begin(
     }
 
 
-def fly(
+def act(
     policy: Policy,
     look: Callable[[], Tensor],
     present: Tensor,
-    memory: Memory,
+    memory: PolicyMemory,
     top_speed: float,
     draws: Callable[[], Tensor] | None = None,
-) -> tuple[Tensor, Memory]:
+) -> tuple[Tensor, PolicyMemory]:
     """
     Return commands (..., H, 2) m/s, world frame, at most top_speed [m/s]; and memory.
 
@@ -59,7 +59,7 @@ def fly(
 
 
 def _remembered(
-    policy: Policy, memory: Memory, ranges: Tensor, due: Tensor
+    policy: Policy, memory: PolicyMemory, ranges: Tensor, due: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Return history and ray in front with a reading, which fills all if it is the first."""
     old, frames = memory['history'], policy.config.frames

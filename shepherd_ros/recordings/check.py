@@ -9,16 +9,16 @@ import json
 from shepherd_ros.config import unknown_name
 from shepherd_ros.recordings.findings import CheckResult, Finding, MOST
 from shepherd_ros.recordings.grouping import (
-    Group,
-    Groups,
     namespaces,
+    RecordedGroup,
+    RecordedGroups,
+    RecordedState,
     SCAN,
-    State,
 )
 from shepherd_ros.recordings.writer import CONTRACT_KEY, LOST_KEY, TOPICS_KEY
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.reader import Bag
-from shepherd_ros.sim.lidar_layout import in_order
+from shepherd_ros.sim.lidar_layout import sorted_channels
 from shepherd_ros.wire.contract import (
     contract_hash,
     known,
@@ -103,20 +103,20 @@ def _lost(text: str) -> Iterator[Finding]:
 def _check_namespace(
     bag: Bag, namespace: str, require: Collection[str], result: CheckResult
 ) -> None:
-    groups = Groups(bag, namespace)
+    groups = RecordedGroups(bag, namespace)
     recorded = [ours for name, ours in groups.wanted.items() if bag.topics[name].count]
     channels: dict[int, list[str]] = {}
     for ours in recorded:
         if ours.topic.name.startswith(SCAN) and ours.shepherd is not None:
             channels.setdefault(ours.shepherd, []).append(ours.topic.name.removeprefix(SCAN))
-    scanned = {h: in_order(names) for h, names in channels.items()}
+    scanned = {h: sorted_channels(names) for h, names in channels.items()}
     commanded = any(ours.topic.name == COMMANDS for ours in recorded)
     for part, there in (('scans', bool(scanned)), ('commands', commanded)):
         if not there:
             result.absent.append(f'{namespace} {part}'.strip())
             if part in require:
                 result.add(Finding('absent', f'no {part} were recorded', topic=namespace))
-    before: Group | None = None
+    before: RecordedGroup | None = None
     expected = _Expected(namespace, scanned, commanded)
     for group in groups:
         if before is not None:
@@ -136,7 +136,7 @@ class _Expected:
     scanned: dict[int, tuple[str, ...]]  # channels of shepherds with a lidar
     commanded: bool
 
-    def missing(self, state: State, n_shepherds: int, answered: bool) -> Iterator[str]:
+    def missing(self, state: RecordedState, n_shepherds: int, answered: bool) -> Iterator[str]:
         """Yield the topics that a state lacks."""
         if state.sheep is None:
             yield f'{self.namespace}/{SHEEP_POSES}'
@@ -152,13 +152,13 @@ class _Expected:
 
 
 def _check_group(
-    group: Group, following: Group | None, expected: _Expected, result: CheckResult
+    group: RecordedGroup, following: RecordedGroup | None, expected: _Expected, result: CheckResult
 ) -> None:
     """Check one episode; following is the next one, None after the last."""
     info, last = group.info, group.last_step
     result.episodes += 1
     result.steps += sum(1 for s in group.states.values() if s.sheep and s.shepherds)
-    final = group.states.get(last, State())
+    final = group.states.get(last, RecordedState())
     whole = last == info.episode_steps
     if following is None:  # the recording may have ended within a state
         whole = whole and not any(expected.missing(final, info.n_shepherds, answered=False))
@@ -176,7 +176,7 @@ def _check_group(
     if not group.goals and last >= 0:
         result.add(Finding('gap', 'no goal was recorded', info.number))
     for step in range(last + 1 if whole or told else info.episode_steps + 1):
-        state = group.states.get(step, State())
+        state = group.states.get(step, RecordedState())
         stamp_ns = info.start_ns + step * info.dt_ns
         place = info.number, step, stamp_ns
         if step < last or whole or not told:
@@ -187,7 +187,9 @@ def _check_group(
             return
 
 
-def _counts(group: Group, state: State, place: tuple[int, int, int]) -> Iterator[Finding]:
+def _counts(
+    group: RecordedGroup, state: RecordedState, place: tuple[int, int, int]
+) -> Iterator[Finding]:
     """Yield what is wrong with the sizes of the arrays of a state."""
     info = group.info
     for poses, name, count in (

@@ -47,7 +47,11 @@ def record_future(
             values = moment.metrics()
             commands = [None if c is None else c.tolist() for c in frame.commands]
             row = {name: float(values[name][0]) for name in METRICS}
-            seen, state, before = ranges_of(frame, moment), moment.state, moment.before
+            seen, state, before = (
+                recorded_or_cast_ranges(frame, moment),
+                moment.state,
+                moment.before,
+            )
             bag.step(state.world(0), before.world(0), seen, commands, row, config.lidar)
             moment = arrive(moment, states.world(slice(t + 1, t + 2)))
             on_step(1)
@@ -82,7 +86,7 @@ def lidar_of(episode: RecordedEpisode) -> LidarConfig:
     return LidarConfig(n_rays=rays.pop(), others=others) if len(rays) == 1 else LidarConfig()
 
 
-def ranges_of(frame: Frame, moment: Moment) -> list[np.ndarray]:
+def recorded_or_cast_ranges(frame: Frame, moment: Moment) -> list[np.ndarray]:
     """Return the recorded scans of a world (1), those that are missing cast; (C, R) m each."""
     recorded = [s for s in frame.scans if s is not None]
     if len(recorded) == len(frame.scans):

@@ -8,7 +8,12 @@ from dataclasses import dataclass, field, fields
 from functools import cached_property
 
 import numpy as np
-from shepherd_ros.recordings.grouping import Group, Groups, namespaces, State
+from shepherd_ros.recordings.grouping import (
+    namespaces,
+    RecordedGroup,
+    RecordedGroups,
+    RecordedState,
+)
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.reader import Bag
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
@@ -67,11 +72,11 @@ def iter_episodes(
     States without poses of both kinds are left out: check_bag() tells of them. The commands are
     those in namespace labels, inside the other one; those that were driven if it is empty.
     """
-    for group in Groups(bag, one_namespace(bag, namespace), labels=labels):
+    for group in RecordedGroups(bag, one_namespace(bag, namespace), labels=labels):
         yield episode_of(bag, group)
 
 
-def episode_of(bag: Bag, group: Group) -> RecordedEpisode:
+def episode_of(bag: Bag, group: RecordedGroup) -> RecordedEpisode:
     """Return a recorded episode as arrays; raises BagError where its counts are wrong."""
     info = group.info
     goals = sorted(group.goals, key=lambda goal: goal[0])
@@ -107,7 +112,9 @@ def episode_of(bag: Bag, group: Group) -> RecordedEpisode:
     return RecordedEpisode(**about, frames=frames, channels=group.channels)
 
 
-def _scan(bag: Bag, group: Group, step: int, state: State, shepherd: int) -> Ranges | None:
+def _scan(
+    bag: Bag, group: RecordedGroup, step: int, state: RecordedState, shepherd: int
+) -> Ranges | None:
     """Return the channels of a scan (C, R) m, None unless all are there."""
     rows = [state.scans.get((shepherd, channel)) for channel in group.channels]
     there = [row for row in rows if row is not None]

@@ -12,7 +12,7 @@ import pyarrow as pa  # type: ignore[import-untyped]
 from pyarrow import csv, parquet
 from shepherd_ros.config import unknown_name
 from shepherd_ros.recordings.episodes import Frame, iter_episodes, one_namespace, RecordedEpisode
-from shepherd_ros.recordings.grouping import Groups
+from shepherd_ros.recordings.grouping import RecordedGroups
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.reader import Bag
 
@@ -72,7 +72,7 @@ def export_bag(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with ExitStack() as stack:
-            schemas = schemas_of(Groups(bag, one_namespace(bag, namespace)).channels)
+            schemas = schemas_of(RecordedGroups(bag, one_namespace(bag, namespace)).channels)
             sinks = {
                 name: stack.enter_context(_sink(path, kind, schemas[name]))
                 for name, path in paths.items()

@@ -16,8 +16,8 @@ from typing import Any
 from shepherd_ros.config import ConfigError
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.reader import Bag, BagMessage
-from shepherd_ros.sim.lidar_layout import in_order, PAPER_CHANNELS
-from shepherd_ros.wire.contract import Known, known
+from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS, sorted_channels
+from shepherd_ros.wire.contract import known, KnownTopic
 from shepherd_ros.wire.decode import CdrError, DECODERS, Floats, Poses, Ranges, Vector
 from shepherd_ros.wire.episode import Episode
 from shepherd_ros.wire.topics import (
@@ -36,7 +36,7 @@ SETTLED = 2  # an episode ends for good when the next one has a state with this 
 
 
 @dataclass
-class State:
+class RecordedState:
     """What was recorded for one state; only what arrived first counts."""
 
     sheep: Poses | None = None
@@ -47,12 +47,12 @@ class State:
 
 
 @dataclass
-class Group:
+class RecordedGroup:
     """An episode as it was recorded."""
 
     info: Episode
     channels: tuple[str, ...] = PAPER_CHANNELS  # of the scans
-    states: dict[int, State] = field(default_factory=dict)  # by step
+    states: dict[int, RecordedState] = field(default_factory=dict)  # by step
     goals: list[tuple[int, Floats]] = field(default_factory=list)  # stamp [ns], position (2,) m
     disorder: list[tuple[str, int]] = field(default_factory=list)  # topic, stamp that goes back
     astray: list[tuple[str, int]] = field(default_factory=list)  # topic, stamp between two states
@@ -98,7 +98,7 @@ def announced(bag: Bag, namespace: str) -> list[tuple[int, Episode]]:
     return infos
 
 
-class Groups:
+class RecordedGroups:
     """
     The episodes of a namespace in the order of the recording; iterating raises BagError.
 
@@ -141,9 +141,9 @@ class Groups:
         names = (
             ours.topic.name for name, ours in self.wanted.items() if self.bag.topics[name].count
         )
-        return in_order(name.removeprefix(SCAN) for name in names if name.startswith(SCAN))
+        return sorted_channels(name.removeprefix(SCAN) for name in names if name.startswith(SCAN))
 
-    def __iter__(self) -> Iterator[Group]:
+    def __iter__(self) -> Iterator[RecordedGroup]:
         """Yield one episode after another."""
         sorter = _Sorter(announced(self.bag, self.namespace), self.channels)
         for message in self.bag.messages(self.wanted):
@@ -161,12 +161,12 @@ class _Sorter:
 
     def __init__(self, infos: list[tuple[int, Episode]], channels: tuple[str, ...]) -> None:
         self.coming, self.channels = list(reversed(infos)), channels
-        self.open: list[Group] = []  # the present one last
+        self.open: list[RecordedGroup] = []  # the present one last
         self.early = 0  # of the open ones, how many at the end are not announced yet
         self.now: int | None = None  # stamp of the latest state
         self.again: int | None = None  # goals when the present episode was announced once more
 
-    def begin_until(self, log_ns: int) -> Iterator[Group]:
+    def begin_until(self, log_ns: int) -> Iterator[RecordedGroup]:
         """Begin the episodes announced until a log time; yield those that are over."""
         while self.coming and self.coming[-1][0] <= log_ns:
             _, info = self.coming.pop()
@@ -177,14 +177,16 @@ class _Sorter:
                 # said to those who were silent, or of a world started anew
                 self.again = len(self.open[-1].goals)
                 continue
-            self.open.append(Group(info, self.channels))
+            self.open.append(RecordedGroup(info, self.channels))
             self.again = None
         last = self.open[-1] if self.open else None
         keep = 1 if last is not None and last.last_step >= SETTLED else 2
         while len(self.open) > keep:
             yield self.open.pop(0)
 
-    def add(self, ours: Known, content: Poses | Vector | Any, raw: bytes | None = None) -> bool:
+    def add(
+        self, ours: KnownTopic, content: Poses | Vector | Any, raw: bytes | None = None
+    ) -> bool:
         """Take the content of a message, and its bytes to keep; return whether it is of one."""
         name = ours.topic.name
         stamp_ns = self.now if content.stamp_ns is None else content.stamp_ns
@@ -196,7 +198,9 @@ class _Sorter:
         label = name.replace('{h}', str(ours.shepherd))
         back = name in STATES and stamp_ns < group.latest.get(label, 0)
         if back and self.again is not None and group is self.open[-1]:
-            self.open.append(Group(group.info, self.channels, goals=group.goals[self.again :]))
+            self.open.append(
+                RecordedGroup(group.info, self.channels, goals=group.goals[self.again :])
+            )
             del group.goals[self.again :]
             group, self.again = self.open[-1], None
         if name == GOAL:
@@ -211,26 +215,26 @@ class _Sorter:
             return True
         if name in STATES:
             group.last_step = max(group.last_step, step)
-        state = group.states.setdefault(step, State())
+        state = group.states.setdefault(step, RecordedState())
         _put(state, name, ours.shepherd, content)
         if raw is not None and name != COMMANDS:
             state.raw.setdefault(label, raw)
         return True
 
-    def _group(self, stamp_ns: int) -> Group | None:
+    def _group(self, stamp_ns: int) -> RecordedGroup | None:
         """Return the episode of a stamp: the present one, one before, or the next one."""
         for group in reversed(self.open):
             if group.info.has(stamp_ns):
                 return group
         if self.coming and not self.early and self.coming[-1][1].has(stamp_ns):
             # on its way to the recorder the announcement was overtaken
-            self.open.append(Group(self.coming[-1][1], self.channels))
+            self.open.append(RecordedGroup(self.coming[-1][1], self.channels))
             self.early += 1
             return self.open[-1]
         return None
 
 
-def _put(state: State, name: str, shepherd: int | None, content: Any) -> None:
+def _put(state: RecordedState, name: str, shepherd: int | None, content: Any) -> None:
     """Keep what a message says of a state, unless it was said before."""
     if name == SHEEP_POSES:
         state.sheep = state.sheep or content

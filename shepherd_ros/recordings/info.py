@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 
-from shepherd_ros.recordings.grouping import Groups, namespaces, STATES
+from shepherd_ros.recordings.grouping import namespaces, RecordedGroups, STATES
 from shepherd_ros.rosbag2.metadata import STORAGE, TopicInfo
 from shepherd_ros.rosbag2.reader import Bag
 
@@ -78,7 +78,7 @@ def bag_info(bag: Bag) -> BagInfo:
     packed = {name or 'none' for storage in bag.storages for name in storage.compressions}
     episodes = []
     for namespace in namespaces(bag):
-        for group in Groups(bag, namespace, STATES):
+        for group in RecordedGroups(bag, namespace, STATES):
             info = group.info
             states = sum(1 for s in group.states.values() if s.sheep and s.shepherds)
             episodes.append(

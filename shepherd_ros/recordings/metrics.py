@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from shepherd_ros.config import ConfigError
 from shepherd_ros.recordings.episodes import episode_of
-from shepherd_ros.recordings.grouping import Group, Groups, namespaces, STATES
+from shepherd_ros.recordings.grouping import namespaces, RecordedGroup, RecordedGroups, STATES
 from shepherd_ros.recordings.info import INDENT
 from shepherd_ros.recordings.replay import metrics_over_time, states_of
 from shepherd_ros.rosbag2.reader import Bag
@@ -16,7 +16,7 @@ def metrics_lines(bag: Bag) -> list[str]:
     """Return a table for a terminal, counted from the recorded poses; [] without episodes."""
     rows = [['episode', 'seed', *(metric.short for metric in shown('bag'))]]
     for namespace in namespaces(bag):
-        for group in Groups(bag, namespace, (*STATES, GOAL)):
+        for group in RecordedGroups(bag, namespace, (*STATES, GOAL)):
             name = f'{namespace} {group.info.number}'.strip()
             rows.append([name, str(group.info.seed), *_values(bag, group)])
     if len(rows) == 1:
@@ -26,7 +26,7 @@ def metrics_lines(bag: Bag) -> list[str]:
     return [f'{"" if i else "Metrics:":<{INDENT}}{line}' for i, line in enumerate(lines)]
 
 
-def _values(bag: Bag, group: Group) -> list[str]:
+def _values(bag: Bag, group: RecordedGroup) -> list[str]:
     """Return the metrics of an episode after its last state, ? where its states are unusable."""
     names = [metric.name for metric in shown('bag')]
     try:

@@ -145,7 +145,7 @@ def open_bags(
     for k, seed in enumerate(first.seed.tolist()):
         folder = out / f'.{episode_folder(out, seed).name}'
         shutil.rmtree(folder, ignore_errors=True)  # left by a run that was killed
-        bags.append(EpisodeBag(folder, describe(world, first.world(k), seed), compression))
+        bags.append(EpisodeBag(folder, describe_episode(world, first.world(k), seed), compression))
     return bags
 
 
@@ -205,7 +205,7 @@ def drive(
         on_step(len(bags))
 
 
-def describe(world: WorldConfig, first: WorldState, seed: int) -> Episode:
+def describe_episode(world: WorldConfig, first: WorldState, seed: int) -> Episode:
     """Return the description that flock_sim gives of an episode that it begins with."""
     return Episode(
         number=0,

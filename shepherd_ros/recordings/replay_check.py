@@ -13,7 +13,7 @@ from shepherd_ros.sim.state import WorldState
 from shepherd_ros.wire.decode import Floats
 from torch import Tensor
 
-Answers = Mapping[int, Floats]  # by shepherd (2,) m/s
+CommandsByShepherd = Mapping[int, Floats]  # by shepherd (2,) m/s
 
 
 def asked_frames(episode: RecordedEpisode) -> list[Frame]:
@@ -67,7 +67,7 @@ class Comparison:
         last = frames[-1].step if frames else episode.episode_steps
         self.unasked += last + 1 - len(frames)
 
-    def add(self, episode: RecordedEpisode, frame: Frame, answers: Answers) -> None:
+    def add(self, episode: RecordedEpisode, frame: Frame, answers: CommandsByShepherd) -> None:
         """Compare what was recorded for a state with what is answered now."""
         final = frame is episode.frames[-1]  # a recording may end before the last answers
         for h, recorded in enumerate(frame.commands):

@@ -46,7 +46,7 @@ PACKERS: dict[str, Callable[[bytes], bytes]] = {
 }
 
 
-def packed(*records: McapRecord) -> bytes:
+def serialized(*records: McapRecord) -> bytes:
     """Return records as they lie in a file."""
     builder = RecordBuilder()
     for record in records:
@@ -76,7 +76,7 @@ class McapFile:
         self._new_chunk()
         self._file = FileIO(path, 'xb')
         try:
-            self._append(MAGIC + packed(Header('ros2', f'shepherd_ros {__version__}')))
+            self._append(MAGIC + serialized(Header('ros2', f'shepherd_ros {__version__}')))
         except OSError:
             self._file.close()
             path.unlink()
@@ -122,14 +122,14 @@ class McapFile:
             if (schema.name, schema.encoding, schema.data) == (name, encoding, data):
                 return schema.id
         schema = Schema(id=len(self.schemas) + 1, name=name, encoding=encoding, data=data)
-        self._append(packed(schema))
+        self._append(serialized(schema))
         self.schemas.append(schema)
         return schema.id
 
     def add_channel(self, topic: str, encoding: str, schema: int, values: dict[str, str]) -> int:
         """Write a channel; return its number."""
         channel = Channel(len(self.channels) + 1, topic, encoding, values, schema)
-        self._append(packed(channel))
+        self._append(serialized(channel))
         self.channels.append(channel)
         return channel.id
 
@@ -156,7 +156,7 @@ class McapFile:
             uncompressed_crc=zlib.crc32(data),
             uncompressed_size=len(data),
         )
-        record = packed(chunk)
+        record = serialized(chunk)
         indexes, offsets = bytearray(), {}
         for channel, flat in self._index.items():
             offsets[channel] = self._size + len(record) + len(indexes)
@@ -182,7 +182,7 @@ class McapFile:
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Write a metadata record after all messages so far."""
         self.end_chunk()
-        record = packed(Metadata(name=name, metadata=values))
+        record = serialized(Metadata(name=name, metadata=values))
         index = MetadataIndex(offset=self._size, length=len(record), name=name)
         self._append(record)
         self._metadata.append(index)
@@ -229,17 +229,19 @@ class McapFile:
 
     def _ending(self) -> bytes:
         """Return everything from the end of the data to the end of the file."""
-        end = packed(DataEnd(data_section_crc=0))
+        end = serialized(DataEnd(data_section_crc=0))
         start = self._size + len(end)
         summary, offsets = b'', b''
         for records in (
             self.schemas, self.channels, [self._statistics()], self._chunks, self._metadata,
         ):  # fmt: skip
-            group = packed(*records)
+            group = serialized(*records)
             if group:
                 offset = SummaryOffset(group[0], start + len(summary), len(group))
-                offsets += packed(offset)
+                offsets += serialized(offset)
                 summary += group
         place = struct.pack('<QQ', start, start + len(summary))
         crc = zlib.crc32(summary + offsets + PREFIX.pack(Opcode.FOOTER, 20) + place)
-        return end + summary + offsets + packed(Footer(start, start + len(summary), crc)) + MAGIC
+        return (
+            end + summary + offsets + serialized(Footer(start, start + len(summary), crc)) + MAGIC
+        )

@@ -24,7 +24,7 @@ except ImportError:  # numba is optional
 AVAILABLE = njit is not None and os.environ.get('SHEPHERD_ROS_PLAIN') != '1'
 
 
-def usable(*tensors: Tensor) -> bool:
+def compilable(*tensors: Tensor) -> bool:
     """Return whether a compiled form exists for these tensors."""
     return AVAILABLE and all(
         t.dtype == torch.float32 and t.device.type == 'cpu' and not t.requires_grad
@@ -44,13 +44,13 @@ def _start() -> int:
     return 0
 
 
-def start() -> None:
+def start_numba() -> None:
     """Start numba, which takes half a second that nobody shall wait for later."""
     if AVAILABLE:
         _start()
 
 
-def flat(tensor: Tensor, keep: int) -> np.ndarray:
+def flat_array(tensor: Tensor, keep: int) -> np.ndarray:
     """Return a tensor as a contiguous array with its leading axes made one and the last kept."""
     array: np.ndarray = tensor.numpy()
     return np.ascontiguousarray(array.reshape(-1, *array.shape[array.ndim - keep :]))

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import math
 
 from shepherd_ros.config import Config, ConfigError, option
-from shepherd_ros.sim.compiled import usable
+from shepherd_ros.sim.compiled import compilable
 from shepherd_ros.sim.fused import fused, fusible
 from shepherd_ros.sim.lidar_compiled import scan_discs
-from shepherd_ros.sim.lidar_layout import CHANNELS, in_order, ScanLayout
+from shepherd_ros.sim.lidar_layout import CHANNELS, ScanLayout, sorted_channels
 from shepherd_ros.sim.rng import normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
 import torch
@@ -56,7 +56,7 @@ class LidarConfig(Config):
     @property
     def layout(self) -> ScanLayout:
         """Return the channels and rays of its scans."""
-        return ScanLayout(in_order(filter(None, self.others.split(','))), self.n_rays)
+        return ScanLayout(sorted_channels(filter(None, self.others.split(','))), self.n_rays)
 
 
 def cast_rays(
@@ -161,7 +161,7 @@ def scan(state: WorldState, config: LidarConfig, shepherds: Tensor | None = None
 
 def _discs(state: WorldState, config: LidarConfig, shepherds: Tensor) -> Tensor:
     """Return the paper's channels of a lidar without faults, whose types hide nothing else."""
-    if usable(state.sheep, state.shepherds):
+    if compilable(state.sheep, state.shepherds):
         return scan_discs(
             state,
             shepherds,

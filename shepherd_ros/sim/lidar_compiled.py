@@ -7,7 +7,7 @@ from functools import lru_cache
 import math
 
 import numpy as np
-from shepherd_ros.sim.compiled import compiled, flat
+from shepherd_ros.sim.compiled import compiled, flat_array
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.sim.state import WorldState
 import torch
@@ -92,12 +92,12 @@ def scan_discs(
     cos, sin = _ray_table(n_rays)
     out = np.full((state.step.numel(), *shape), np.inf, np.float32)
     _scan(
-        flat(state.sheep, 2),
-        flat(state.sheep_mask, 1),
-        flat(state.shepherds, 2),
-        flat(state.shepherd_mask, 1),
-        flat(state.goal, 1),
-        flat(state.goal_radius, 0),
+        flat_array(state.sheep, 2),
+        flat_array(state.sheep_mask, 1),
+        flat_array(state.shepherds, 2),
+        flat_array(state.shepherd_mask, 1),
+        flat_array(state.goal, 1),
+        flat_array(state.goal_radius, 0),
         chosen.numpy(),
         np.float32(sheep_radius),
         np.float32(shepherd_radius),

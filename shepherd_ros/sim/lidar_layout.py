@@ -73,7 +73,7 @@ class ScanLayout:
             raise ConfigError(f'{where}: scans have {self.n_rays} rays, expected {wanted.n_rays}')
 
 
-def in_order(names: Iterable[str]) -> tuple[str, ...]:
+def sorted_channels(names: Iterable[str]) -> tuple[str, ...]:
     """Return the paper's channels and then the others among some names, by name."""
     return (*PAPER_CHANNELS, *sorted(set(names) - set(PAPER_CHANNELS)))
 

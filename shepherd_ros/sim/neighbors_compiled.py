@@ -32,7 +32,7 @@ def squares_of(i, xs, ys, who, count, squared):
 
 
 @compiled
-def below(bound, count, squared, who, chosen):
+def choose_below(bound, count, squared, who, chosen):
     """Write those of who that are nearer than the bound [m^2] into chosen; return how many."""
     found = np.uintp(0)  # unsigned: an index that is never taken for a negative one
     for k in range(count):

@@ -23,7 +23,7 @@ def mix(z):
 
 
 @compiled
-def key_of(seed, step, stream):
+def stream_key(seed, step, stream):
     """Return the key of a world's stream at a step; int64 each."""
     return mix(mix(np.uint64(seed) + _GOLDEN) + np.uint64(step) * _GOLDEN + np.uint64(stream))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from shepherd_ros.sim import transition_compiled as compiled
-from shepherd_ros.sim.compiled import usable as compilable
+from shepherd_ros.sim.compiled import compilable
 from shepherd_ros.sim.flocking import model_of
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import clip_norm
@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 
-def usable(command: Tensor) -> Tensor:
+def finite_command(command: Tensor) -> Tensor:
     """Return which commands are finite; (..., H, 2) m/s -> (..., H) bool."""
     return command.isfinite().all(dim=-1)
 
@@ -23,8 +23,8 @@ def usable(command: Tensor) -> Tensor:
 def move(state: WorldState, command: Tensor, config: WorldConfig) -> Tensor:
     """Return where the shepherds are dt later, (..., H, 2) m."""
     if compilable(state.shepherds, command) and command.shape == state.shepherds.shape:
-        return compiled.move(state, command, config.shepherd_speed, config.dt)
-    obeyed = (usable(command) & state.shepherd_mask)[..., None]
+        return compiled.move_compiled(state, command, config.shepherd_speed, config.dt)
+    obeyed = (finite_command(command) & state.shepherd_mask)[..., None]
     velocity = clip_norm(torch.where(obeyed, command, 0.0), config.shepherd_speed)
     return state.shepherds + velocity * config.dt
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from shepherd_ros.sim.compiled import compiled, flat
+from shepherd_ros.sim.compiled import compiled, flat_array
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import EPSILON
 import torch
@@ -30,10 +30,10 @@ def _move(shepherds, mask, command, top, dt, moved):
                 moved[b, h, 1] += y * dt
 
 
-def move(state: WorldState, command: Tensor, top: float, dt: float) -> Tensor:
+def move_compiled(state: WorldState, command: Tensor, top: float, dt: float) -> Tensor:
     """Return what sim.transition.move() does."""
-    shepherds = flat(state.shepherds, 2)
+    shepherds = flat_array(state.shepherds, 2)
     moved = np.empty_like(shepherds)
     numbers = np.float32(top), np.float32(dt)
-    _move(shepherds, flat(state.shepherd_mask, 1), flat(command, 2), *numbers, moved)
+    _move(shepherds, flat_array(state.shepherd_mask, 1), flat_array(command, 2), *numbers, moved)
     return torch.from_numpy(moved.reshape(state.shepherds.shape))

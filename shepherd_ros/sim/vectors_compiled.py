@@ -21,7 +21,7 @@ def length(x, y):
 
 
 @compiled
-def unit(x, y):
+def unit_xy(x, y):
     """Return the vector made one long, 0 where it is shorter than EPSILON."""
     size = length(x, y)
     if size < _EPSILON:
@@ -30,13 +30,13 @@ def unit(x, y):
 
 
 @compiled
-def wrap(angle):
+def wrap_angle(angle):
     """Return the angle in [-pi, pi) rad."""
     return (angle + _PI) % _TURN - _PI
 
 
 @compiled
-def bearing(x, y):
+def bearing_xy(x, y):
     """Return the angle of a vector from +x [rad]."""
     return np.float32(math.atan2(y, x))
 
@@ -73,7 +73,7 @@ def take_places(around, spacing, mask, place):
         for h in range(team):
             if mask[h]:
                 at = (np.float32((rank[h] + shift) % count) - middle) * spacing
-                way += abs(wrap(at - around[h]))
+                way += abs(wrap_angle(at - around[h]))
         way = np.float32(round(way * np.float32(1e4)))
         if way < least:
             least, best = way, shift

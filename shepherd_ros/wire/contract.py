@@ -20,7 +20,7 @@ WHOLE = '57135bfda311c7fd6e26293ad7e9721224dca443640b9455ced35affab933188'
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownTopic:
     """A topic of a bag that is in the contract."""
 
     topic: Topic
@@ -47,7 +47,7 @@ def _patterns() -> list[tuple[re.Pattern[str], Topic]]:
 
 
 @cache
-def known(name: str) -> Known | None:
+def known(name: str) -> KnownTopic | None:
     """Return what the contract says of a topic of a bag, None if nothing."""
     for pattern, row in _patterns():
         match = pattern.fullmatch(name)
@@ -55,7 +55,7 @@ def known(name: str) -> Known | None:
             found = match.groupdict()
             shepherd = None if found.get('h') is None else int(found['h'])
             one = member(row, found['member']) if 'member' in found else row
-            return Known(one, found['space'], shepherd, row.name)
+            return KnownTopic(one, found['space'], shepherd, row.name)
     return None
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from shepherd_ros.cli import main
-from shepherd_ros.policy.checkpoint import load_policy, read_metadata
+from shepherd_ros.policy.checkpoint import load_policy, read_checkpoint_metadata
 
 NETWORK = (
     '--policy.network.filters-1 2 --policy.network.filters-2 2 --policy.network.hidden 8 '
@@ -61,7 +61,7 @@ def test_training_goes_on_from_a_checkpoint_with_what_is_asked_changed(tmp_path:
     for name, value in start.actor.state_dict().items():
         assert value.equal(end.actor.state_dict()[name]), name
     assert not start.critic.head.weight.equal(end.critic.head.weight)
-    _, record, _ = read_metadata(tmp_path / 'b' / 'best.safetensors')
+    _, record, _ = read_checkpoint_metadata(tmp_path / 'b' / 'best.safetensors')
     assert record['config']['start'] == str(first)
     assert record['command'].startswith(f'shepherd train ppo --pretrained {first}')
 
@@ -70,7 +70,7 @@ def test_quick_is_another_recipe_in_which_options_count_as_ever(tmp_path: Path) 
     assert train(f'ppo --quick {NETWORK} {TINY} --home-share 0.5', tmp_path / 'quick') == 0
     assert train(f'ppo {NETWORK} {TINY}', tmp_path / 'usual') == 0
     quick, usual = (
-        read_metadata(tmp_path / name / 'best.safetensors')[1]['config']
+        read_checkpoint_metadata(tmp_path / name / 'best.safetensors')[1]['config']
         for name in ('quick', 'usual')
     )
     assert quick['policy']['observation']['layout'] == 'ring'

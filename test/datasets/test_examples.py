@@ -29,7 +29,7 @@ from shepherd_ros.datasets.lerobot_format import DATA, EPISODES
 from shepherd_ros.datasets.lerobot_reader import open_dataset
 from shepherd_ros.datasets.lerobot_writer import DatasetWriter, runs
 from shepherd_ros.datasets.report import Report
-from shepherd_ros.datasets.running_stats import Spread
+from shepherd_ros.datasets.running_stats import RunningStats
 from shepherd_ros.datasets.steps import Steps, steps_of
 from shepherd_ros.learning.train_bc import stream_examples
 from shepherd_ros.policy.network import NetworkConfig
@@ -238,7 +238,7 @@ def test_a_command_that_single_precision_cannot_hold_is_refused(bags: Path) -> N
 
 
 def test_spread_by_hand() -> None:
-    spread = Spread(2)
+    spread = RunningStats(2)
     assert spread.to_dict() == {name: [0, 0] for name in ('mean', 'std', 'min', 'max')}
     spread.add([[1.0, np.inf], [3.0, -2.0]])
     spread.add([[5.0, np.nan]])

@@ -18,9 +18,9 @@ from shepherd_ros.experiments.campaign import plan, seed_batches, shard_of
 from shepherd_ros.experiments.catalog import EXPERIMENTS, experiments
 from shepherd_ros.experiments.cells import Cell, run_cell
 from shepherd_ros.experiments.methods import checkpoint_hash, full_name, make_method
-from shepherd_ros.experiments.results import read_rows
+from shepherd_ros.experiments.results import read_results
 from shepherd_ros.experiments.runner import mean_and_interval, run_episodes
-from shepherd_ros.experiments.setting import describe, env_config, Setting, settled
+from shepherd_ros.experiments.setting import describe_setting, env_config, Setting, settled
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 import torch
@@ -112,9 +112,9 @@ def test_experiments_have_the_settings_of_section_10() -> None:
 
 
 def test_a_setting_says_in_what_it_differs_from_the_paper() -> None:
-    assert describe(settled(Setting())) == 'default setting'
-    assert describe(settled(Setting(sheep=10, rays=64))) == '10 sheep, 64 rays'
-    assert describe(settled(Setting(preset='rho_a_one'))) == 'preset rho_a_one'
+    assert describe_setting(settled(Setting())) == 'default setting'
+    assert describe_setting(settled(Setting(sheep=10, rays=64))) == '10 sheep, 64 rays'
+    assert describe_setting(settled(Setting(preset='rho_a_one'))) == 'preset rho_a_one'
     assert env_config(Setting(start='two_groups')).world.spawn.flock_groups == 2
 
 
@@ -192,7 +192,7 @@ def test_the_verb_writes_rows_and_a_table_and_does_nothing_twice(
     words = ['evaluate', 'table', '--shepherds', '1', '2', *WORDS, '--out', str(out)]
     words += ['--controllers', 'strombom', 'idle']
     assert main(words) == 0
-    rows = read_rows([out])
+    rows = read_results([out])
     assert len(rows) == 2 * 2 * 3
     assert '12 episodes in 4 cells, 0 of them done' in capsys.readouterr().out
     lines = (out / 'table.md').read_text().splitlines()
@@ -216,7 +216,7 @@ def test_rows_of_other_code_are_kept_and_named(
     assert main([*words, '--controllers', 'idle', 'random']) == 0
     said = ' '.join(capsys.readouterr().out.split())
     assert 'done by other code: older; this is newer, give another --out' in said
-    assert read_rows([tmp_path]).distinct('code') == ['newer', 'older']
+    assert read_results([tmp_path]).distinct('code') == ['newer', 'older']
 
 
 def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_rows(
@@ -242,7 +242,7 @@ def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_rows(
     (next(cut.rglob('*.parquet')).parent / '.000000-000019.parquet.part').write_bytes(b'torn')
     monkeypatch.setattr(campaign, 'run_into', run)
     assert main([*words, '--out', str(cut)]) == 0
-    left, right = (read_rows([folder]).table for folder in (whole, cut))
+    left, right = (read_results([folder]).table for folder in (whole, cut))
     assert left.equals(right)
     assert left.num_rows == 3 * 2 * 25
 
@@ -251,7 +251,7 @@ def test_policies_take_the_place_of_the_policy_of_an_experiment(tmp_path: Path) 
     words = ['evaluate', 'starts', '--sheep', '3', '--steps', '2', '--episodes', '1']
     words += ['--policies', 'policy:imitation', 'idle', '--out', str(tmp_path)]
     assert main(words) == 0
-    drove = read_rows([tmp_path]).distinct('controller')
+    drove = read_results([tmp_path]).distinct('controller')
     assert drove == ['drover', 'idle', 'pierson', 'policy:imitation', 'strombom']
 
 
@@ -264,7 +264,7 @@ def test_more_episodes_take_the_place_of_fewer(tmp_path: Path) -> None:
         '000000-000019.parquet',
         '000020-000029.parquet',
     ]
-    assert read_rows([tmp_path]).distinct('seed') == list(range(30))
+    assert read_results([tmp_path]).distinct('seed') == list(range(30))
 
 
 def test_shards_on_two_machines_make_the_rows_of_one(tmp_path: Path) -> None:
@@ -272,7 +272,7 @@ def test_shards_on_two_machines_make_the_rows_of_one(tmp_path: Path) -> None:
     assert main([*words, '--out', str(tmp_path / 'one')]) == 0
     for i in (1, 2):
         assert main([*words, '--shard', f'{i}/2', '--out', str(tmp_path / 'two')]) == 0
-    one, two = (read_rows([tmp_path / name]).table for name in ('one', 'two'))
+    one, two = (read_results([tmp_path / name]).table for name in ('one', 'two'))
     assert one.equals(two)
 
 
@@ -284,7 +284,7 @@ def test_two_ranks_of_torchrun_make_the_rows_of_one_process(tmp_path: Path) -> N
     command = [*launch, beside / 'shepherd', *words, tmp_path / 'two']
     done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    one, two = (read_rows([tmp_path / name]).table for name in ('one', 'two'))
+    one, two = (read_results([tmp_path / name]).table for name in ('one', 'two'))
     assert one.equals(two)
     assert done.stdout.count('fig6.md') == 1, 'the table is written once, when all is there'
 
@@ -293,7 +293,7 @@ def test_cells_run_in_processes_too(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(campaign, 'ProcessPoolExecutor', ProcessPoolExecutor)
     words = ['evaluate', '5', '--steps', '3', '--sheep', '3', '--episodes', '1', '--workers', '2']
     assert main([*words, '--controllers', 'idle', '--out', str(tmp_path)]) == 0
-    assert len(read_rows([tmp_path])) == 6
+    assert len(read_results([tmp_path])) == 6
 
 
 @pytest.mark.parametrize(

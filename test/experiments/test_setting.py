@@ -11,11 +11,11 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.experiments.campaign import plan
 from shepherd_ros.experiments.catalog import EXPERIMENTS
 from shepherd_ros.experiments.methods import make_method
-from shepherd_ros.experiments.results import read_rows
+from shepherd_ros.experiments.results import read_results
 from shepherd_ros.experiments.samples import samples_of
 from shepherd_ros.experiments.setting import (
     changes_of,
-    describe,
+    describe_setting,
     env_config,
     Setting,
     settled,
@@ -67,7 +67,7 @@ def test_a_path_and_its_short_name_are_one_setting() -> None:
     assert (setting.sheep, setting.repulsion, setting.set) == (7, 1.0, ('world.dt=0.25',))
     assert setting == settled(Setting(sheep=7, repulsion=1.0, set=('world.dt=0.25',)))
     assert settled(setting) == setting
-    assert describe(setting) == '7 sheep, rho_a 1, world.dt=0.25'
+    assert describe_setting(setting) == '7 sheep, rho_a 1, world.dt=0.25'
     zero = settled(Setting(set=('world.flock.sheep_repulsion=0',)))  # not that of the preset
     assert env_config(zero).world.flock.sheep_repulsion == 0.0
     both = [
@@ -115,7 +115,7 @@ def test_record_and_evaluate_take_the_same_options(tmp_path: Path) -> None:
     assert episode.frames[0].scans[0].shape[-1] == 64
     words += ['--controllers', 'idle', '--out', str(tmp_path / 'rows')]
     assert main(['evaluate', '4', *words]) == 0
-    rows = read_rows([tmp_path / 'rows'])
+    rows = read_results([tmp_path / 'rows'])
     assert rows.in_environment(env_config(setting)).all()
     assert rows.columns['rays'].tolist() == [64]
     assert not rows.in_environment(env_config(replace(setting, set=()))).any()

@@ -20,11 +20,11 @@ from shepherd_ros.controllers.pierson import PiersonConfig
 from shepherd_ros.experiments import cells, results
 from shepherd_ros.experiments.catalog import EXPERIMENTS
 from shepherd_ros.experiments.cells import Cell
-from shepherd_ros.experiments.results import key_of, read_rows, rows_in, schema, write_rows
+from shepherd_ros.experiments.results import cell_key, read_results, results_in, schema, write_rows
 from shepherd_ros.experiments.samples import samples_of
 from shepherd_ros.experiments.setting import env_config, Setting
 from shepherd_ros.learning.ppo import PPOConfig
-from shepherd_ros.learning.run_folder import Run
+from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.train_ppo import PPORunConfig
 from shepherd_ros.policy.network import NetworkConfig
@@ -99,9 +99,9 @@ def plain(table: pa.Table) -> list[dict[str, Any]]:
 
 
 @pytest.fixture(scope='module')
-def stored() -> results.Rows:
+def stored() -> results.Results:
     """Return the rows of docs/results, whose keys are hashes of whole configurations."""
-    return read_rows([ROWS])
+    return read_results([ROWS])
 
 
 def test_rows_with_keys_of_whole_configurations_are_read_as_they_are(stored: Any) -> None:
@@ -109,7 +109,7 @@ def test_rows_with_keys_of_whole_configurations_are_read_as_they_are(stored: Any
     row = raw.slice(0, 1).to_pylist()[0]
     text = json.dumps([json.loads(row['config']), '', row['version']], sort_keys=True)
     assert row['key'] == hashlib.sha256(text.encode()).hexdigest()[:16], 'made by the old rule'
-    table = read_rows([ROWS]).table
+    table = read_results([ROWS]).table
     assert table.num_rows == raw.num_rows == 60_480
     for rows in (raw, table):  # the same episodes fall together under the new keys
         assert len(set(rows.column('key').to_pylist())) == 1152
@@ -140,19 +140,19 @@ def test_an_experiment_finds_the_episodes_that_its_columns_name(stored: Any) -> 
 
 def test_a_key_counts_what_differs_and_nothing_else() -> None:
     config = Cell(Setting(), 'pierson', 0, 1).config()
-    key = key_of(config, '', __version__)
-    assert key_of(without(config, 'shepherds_around'), '', __version__) == key
-    assert key_of(without(config, 'assignment'), '', __version__) == key
-    seen = {key, key_of(config, 'x', __version__), key_of(config, '', '0.0')}
+    key = cell_key(config, '', __version__)
+    assert cell_key(without(config, 'shepherds_around'), '', __version__) == key
+    assert cell_key(without(config, 'assignment'), '', __version__) == key
+    seen = {key, cell_key(config, 'x', __version__), cell_key(config, '', '0.0')}
     for changed in (
         Cell(Setting(noise=0.1), 'pierson', 0, 1),
         Cell(Setting(rays=64), 'pierson', 0, 1),
         Cell(Setting(flock='reynolds'), 'pierson', 0, 1),
         Cell(Setting(), 'strombom', 0, 1),
     ):
-        seen.add(key_of(changed.config(), '', __version__))
+        seen.add(cell_key(changed.config(), '', __version__))
     options = {'name': 'pierson', **PiersonConfig(lead=3.0).to_dict()}
-    seen.add(key_of(config | {'controller': options}, '', __version__))
+    seen.add(cell_key(config | {'controller': options}, '', __version__))
     assert len(seen) == 8
 
 
@@ -161,7 +161,7 @@ def test_an_option_that_comes_later_changes_no_key_and_finds_the_old_rows(
 ) -> None:
     words = ['evaluate', 'starts', *WORDS, '--out', str(tmp_path)]
     assert main(words) == 0
-    before = read_rows([tmp_path])
+    before = read_results([tmp_path])
     wind, lure = with_option(EnvConfig), with_option(PiersonConfig, 'lure', 2)
     monkeypatch.setattr(results, 'EnvConfig', wind)
     monkeypatch.setattr('shepherd_ros.sim.rollout.EnvConfig', wind)
@@ -170,13 +170,13 @@ def test_an_option_that_comes_later_changes_no_key_and_finds_the_old_rows(
     capsys.readouterr()
     assert main(words) == 0
     assert '12 episodes in 6 cells, 6 of them done' in capsys.readouterr().out
-    after = read_rows([tmp_path])
+    after = read_results([tmp_path])
     assert after.table.equals(before.table)
     cell = Cell(Setting(sheep=3, steps=4), 'pierson', 0, 1)
     assert cell.config()['env']['wind'] == 0.0
     assert cell.config()['controller']['lure'] == 2
-    assert key_of(cell.config(), '', __version__) in before.seeds
-    assert key_of(cell.config() | {'env': {'wind': 0.1}}, '', __version__) not in before.seeds
+    assert cell_key(cell.config(), '', __version__) in before.seeds
+    assert cell_key(cell.config() | {'env': {'wind': 0.1}}, '', __version__) not in before.seeds
     results._stored_key.cache_clear()
 
 
@@ -185,7 +185,7 @@ def test_evaluation_goes_on_over_rows_with_keys_of_the_version_before(
 ) -> None:
     words = ['evaluate', 'starts', *WORDS, '--out', str(tmp_path)]
     assert main(words) == 0
-    whole = plain(rows_in(tmp_path).table)
+    whole = plain(results_in(tmp_path).table)
     for path in sorted(tmp_path.rglob('*.parquet')):  # as the version before named them
         table = parquet.read_table(path)
         row = table.slice(0, 1).to_pylist()[0]
@@ -200,7 +200,7 @@ def test_evaluation_goes_on_over_rows_with_keys_of_the_version_before(
     capsys.readouterr()
     assert main(words) == 0
     assert '6 of them done' in capsys.readouterr().out
-    assert plain(rows_in(tmp_path).table) == whole
+    assert plain(results_in(tmp_path).table) == whole
 
 
 def test_a_metric_that_was_not_counted_is_nan_and_unknown_columns_are_left_out(
@@ -209,7 +209,7 @@ def test_a_metric_that_was_not_counted_is_nan_and_unknown_columns_are_left_out(
     table = cells.run_cell(Cell(Setting(sheep=3, steps=4), 'idle', 0, 2))
     table = table.drop_columns(['goal_distance', 'dropout'])
     write_rows(tmp_path / 'rows.parquet', table.append_column('later', pa.array([1.0, 2.0])))
-    rows = read_rows([tmp_path])
+    rows = read_results([tmp_path])
     assert rows.table.schema.names == schema().names
     assert np.isnan(rows.columns['goal_distance']).all()
     assert rows.columns['dropout'].tolist() == [0.0, 0.0]
@@ -223,7 +223,7 @@ def test_rows_of_what_is_not_known_here_are_kept_and_found_by_nothing(tmp_path: 
     place = table.schema.get_field_index('config')
     changed = table.set_column(place, 'config', pa.array([json.dumps(config)]))
     write_rows(tmp_path / 'rows.parquet', changed)
-    rows = read_rows([tmp_path])
+    rows = read_results([tmp_path])
     assert rows.columns['key'].tolist() == table.column('key').to_pylist()
     assert not rows.in_environment(env_config(Setting(sheep=3))).any()
 
@@ -234,20 +234,20 @@ def test_rows_of_what_is_not_known_here_are_kept_and_found_by_nothing(tmp_path: 
 def test_a_run_goes_on_after_an_option_was_added(tmp_path: Path) -> None:
     run = PPORunConfig(samples=300, ppo=PPOConfig(minibatch_size=16))
     asked = {'policy': PolicyConfig(), 'run': run, 'pretrained': ''}
-    Run(tmp_path, {'config': asked})
+    RunFolder(tmp_path, {'config': asked})
     file = tmp_path / 'run.json'
     data = json.loads(file.read_text())
     assert data['config']['run'] == run.to_dict()
     del data['config']['run']['task']['effort'], data['config']['policy']['network']['min_std']
     file.write_text(json.dumps(data))
-    assert Run(tmp_path, {'config': asked}).record['config']['run'] == run.to_dict()
+    assert RunFolder(tmp_path, {'config': asked}).record['config']['run'] == run.to_dict()
     for other in (
         {'run': replace(run, task=TaskConfig(effort=0.1))},
         {'policy': PolicyConfig(network=NetworkConfig(hidden=8))},
         {'pretrained': 'imitation'},
     ):
         with pytest.raises(ConfigError, match='holds a run with another configuration'):
-            Run(tmp_path, {'config': asked | other})
+            RunFolder(tmp_path, {'config': asked | other})
 
 
 def test_an_episode_that_was_described_before_an_option_came_has_its_default() -> None:
@@ -262,17 +262,17 @@ def test_an_episode_that_was_described_before_an_option_came_has_its_default() -
 def test_a_world_parameter_of_a_plug_in_counts_only_where_it_is_not_its_default(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    key = key_of(Cell(Setting(), 'idle', 0, 1).config(), '', __version__)
+    key = cell_key(Cell(Setting(), 'idle', 0, 1).config(), '', __version__)
     assert main(['record', '--out', str(tmp_path), '--controller', 'idle', '--episodes', '1',
                  '--sheep', '3', '--steps', '4']) == 0  # fmt: skip
     wind = WorldParameter('wind', 0.0, 'drift [m/s]', lambda before, after, value, dt: after)
     monkeypatch.setitem(WORLD_PARAMETERS._entries, 'wind', wind)
-    assert key_of(Cell(Setting(), 'idle', 0, 1).config(), '', __version__) == key
+    assert cell_key(Cell(Setting(), 'idle', 0, 1).config(), '', __version__) == key
     still = Setting(set=('world.wind=0',))
-    assert key_of(Cell(still, 'idle', 0, 1).config(), '', __version__) == key
+    assert cell_key(Cell(still, 'idle', 0, 1).config(), '', __version__) == key
     blown = Setting(set=('world.wind=0.5',))
     assert env_config(blown).world.changes()['wind'] == 0.5
-    assert key_of(Cell(blown, 'idle', 0, 1).config(), '', __version__) != key
+    assert cell_key(Cell(blown, 'idle', 0, 1).config(), '', __version__) != key
     assert check_bag(open_bag(next(tmp_path.iterdir()))).ok
     with pytest.raises(ConfigError, match=r"no option 'world.wnid'; did you mean 'world.wind'\?"):
         env_config(Setting(set=('world.wnid=0.5',)))

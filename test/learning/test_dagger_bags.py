@@ -12,7 +12,7 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.datasets.examples import build_dataset
 from shepherd_ros.datasets.report import Report
 from shepherd_ros.learning.clone import Examples
-from shepherd_ros.learning.dagger import DaggerConfig, Lesson
+from shepherd_ros.learning.dagger import DaggerConfig, LabelledWorlds
 from shepherd_ros.learning.dagger_bags import LABELS
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.train_bc import stream_examples
@@ -42,7 +42,7 @@ def driven(out: Path, worlds: int, steps: int, teacher_drives: bool = False) -> 
     config = DaggerConfig(
         task=TASK, worlds=worlds, groups=1, example_interval=1, bag_folder=str(out)
     )
-    lesson = Lesson(config, policy, 0, torch.float32)
+    lesson = LabelledWorlds(config, policy, 0, torch.float32)
     examples = Examples(policy, 1000, torch.float32)
     lesson.run(steps, teacher_drives, examples)
     lesson.close()

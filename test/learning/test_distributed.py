@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from shepherd_ros.learning.distributed import rank, ranks
-from shepherd_ros.learning.ppo import Learner, PPOConfig
+from shepherd_ros.learning.ppo import PPOConfig, PPOLearner
 from shepherd_ros.learning.rollout import Batch
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
@@ -66,7 +66,7 @@ def updated() -> dict[str, Tensor]:
         critic_learning_rate=1e-2,
         target_kl=9.0,
     )
-    learner = Learner(policy, config)
+    learner = PPOLearner(policy, config)
     before = {k: v.clone() for k, v in policy.state_dict().items()}
     store: Any = Inputs(x)
     learner.update(store, batch, torch.Generator().manual_seed(3))

@@ -16,8 +16,8 @@ from shepherd_ros.datasets.examples import (
 )
 from shepherd_ros.datasets.report import Report
 from shepherd_ros.datasets.steps import steps_of
-from shepherd_ros.learning.clone import CloneConfig, Cloner, Examples
-from shepherd_ros.learning.dagger import DaggerConfig, Lesson
+from shepherd_ros.learning.clone import CloneConfig, CloneLearner, Examples
+from shepherd_ros.learning.dagger import DaggerConfig, LabelledWorlds
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.train_bc import require_fit, stream_examples
 from shepherd_ros.policy.network import NetworkConfig
@@ -163,7 +163,7 @@ def constant_fit(outlier: float, wanted: list[float]) -> tuple[float, list[float
     examples = Examples(policy, len(wanted), torch.float32)
     along = torch.tensor([[w, 0.0] for w in wanted])
     examples.add(torch.zeros(len(wanted), 3, 3, 512), torch.zeros(len(wanted)).long(), along)
-    cloner = Cloner(policy, CloneConfig(huber_delta=outlier), 0)
+    cloner = CloneLearner(policy, CloneConfig(huber_delta=outlier), 0)
     losses = []
     for k in range(11):
         policy.actor.head.bias.data[0] = k / 10
@@ -189,7 +189,7 @@ def test_the_mean_of_the_weights_by_hand() -> None:
     policy = policy_of()
     examples = Examples(policy, 8, torch.float32)
     examples.add(torch.rand(8, 3, 3, 512), torch.zeros(8).long(), torch.rand(8, 2))
-    cloner = Cloner(policy, CloneConfig(batch_size=8, ema_decay=0.15), 0)
+    cloner = CloneLearner(policy, CloneConfig(batch_size=8, ema_decay=0.15), 0)
     seen = []
     for _ in range(3):
         cloner.take_step(examples)
@@ -205,7 +205,7 @@ def test_the_mean_of_the_weights_by_hand() -> None:
 def test_a_cloned_policy_learns_one_episode_by_heart(bags: Path) -> None:
     policy = policy_of()
     examples = Examples(policy, 100, torch.float32)
-    cloner = Cloner(
+    cloner = CloneLearner(
         policy,
         CloneConfig(learning_rate=3e-3, batch_size=24, updates_per_round=150, recent_examples=24),
         0,
@@ -223,7 +223,7 @@ def test_a_lesson_keeps_what_the_teacher_would_do_where_the_learner_is() -> None
     policy = policy_of()
     task = TaskConfig(sheep_min=5, sheep_max=5, shepherds_max=2, episode_steps=50, noise_max=0.4)
     config = DaggerConfig(task=task, worlds=3, groups=1, example_interval=1)
-    lesson = Lesson(config, policy, 0, torch.float32)
+    lesson = LabelledWorlds(config, policy, 0, torch.float32)
     examples = Examples(policy, 100, torch.float32)
     start = lesson.group.moment.state
     law = make_controller('drover', lesson.group.moment.config.world)
@@ -255,7 +255,7 @@ def test_near_the_goal_a_reynolds_flock_can_have_a_teacher_of_its_own() -> None:
         task=task, worlds=2, groups=1, example_interval=1,
         reynolds_teacher='drover', reynolds_home_teacher='idle', home_distance=8.0,
     )  # fmt: skip
-    lesson = Lesson(config, policy, 0, torch.float32)
+    lesson = LabelledWorlds(config, policy, 0, torch.float32)
     start, examples = lesson.group.moment.state, Examples(policy, 100, torch.float32)
     # the middle of one flock is 7.9 m from the rim, that of the other 8.1 m
     away = start.goal_radius + torch.tensor([7.9, 8.1])

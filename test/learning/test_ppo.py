@@ -10,8 +10,8 @@ from shepherd_ros.learning.ppo import (
     approximate_kl,
     clipped_loss,
     explained_variance,
-    Learner,
     PPOConfig,
+    PPOLearner,
 )
 from shepherd_ros.learning.rollout import log_prob, Rollout
 from shepherd_ros.learning.task import TaskConfig
@@ -107,7 +107,7 @@ def test_ppo_learns_to_go_to_the_goal() -> None:
         gamma=0.9, minibatch_size=256, actor_learning_rate=1e-3, critic_learning_rate=1e-3
     )
     rollout = Rollout(task, policy, 1, 16, 24, 0, torch.float32, nearness)
-    learner, generator = Learner(policy, config), torch.Generator().manual_seed(2)
+    learner, generator = PPOLearner(policy, config), torch.Generator().manual_seed(2)
     rewards = []
     for _ in range(25):
         batch, seen = rollout.collect(config.gamma, config.gae_lambda, 0.25)
@@ -128,7 +128,7 @@ def test_the_kept_policy_is_the_running_mean_of_the_weights() -> None:
             network=NetworkConfig(filters_1=2, filters_2=2, hidden=4),
         )
     )
-    learner = Learner(policy, PPOConfig(ema_decay=0.75))
+    learner = PPOLearner(policy, PPOConfig(ema_decay=0.75))
     bias = policy.actor.head.bias
     expected = torch.zeros(4)
     for k in range(3):

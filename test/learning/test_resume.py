@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from shepherd_ros.config import ConfigError
 from shepherd_ros.learning.ppo import PPOConfig
-from shepherd_ros.learning.run_folder import Run
+from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.train_ppo import PPORunConfig, train_ppo
 from shepherd_ros.policy.network import NetworkConfig
@@ -46,7 +46,7 @@ def train(folder: Path, stop_after: int | None = None) -> list[dict[str, Any]]:
         if stop_after is not None and line['updates'] >= stop_after:
             raise PowerCutError
 
-    train_ppo(policy, CONFIG, Run(folder, record), watch)
+    train_ppo(policy, CONFIG, RunFolder(folder, record), watch)
     lines = (folder / 'curve.jsonl').read_text(encoding='utf-8').splitlines()
     return [{k: v for k, v in json.loads(x).items() if k not in TIMES} for x in lines]
 
@@ -65,10 +65,10 @@ def test_a_run_that_is_cut_off_goes_on_with_the_same_numbers(tmp_path: Path) -> 
 
 
 def test_a_folder_with_another_run_or_a_torn_state_is_refused(tmp_path: Path) -> None:
-    Run(tmp_path, {'config': {'seed': 1}})
+    RunFolder(tmp_path, {'config': {'seed': 1}})
     with pytest.raises(ConfigError, match='holds a run with another configuration'):
-        Run(tmp_path, {'config': {'seed': 2}})
-    run = Run(tmp_path, {'config': {'seed': 1}})
+        RunFolder(tmp_path, {'config': {'seed': 2}})
+    run = RunFolder(tmp_path, {'config': {'seed': 1}})
     run.state.write_bytes(b'torn')
     with pytest.raises(ConfigError, match=r'state.pt cannot be read .*remove it to start anew'):
         run.load()

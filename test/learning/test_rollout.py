@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 from shepherd_ros.config import ConfigError
-from shepherd_ros.learning.group import Group, team_reward
-from shepherd_ros.learning.ppo import Learner, PPOConfig
+from shepherd_ros.learning.group import team_reward, WorldGroup
+from shepherd_ros.learning.ppo import PPOConfig, PPOLearner
 from shepherd_ros.learning.rollout import Rollout
 from shepherd_ros.learning.task import draw_environment, TaskConfig
 from shepherd_ros.policy.network import NetworkConfig
@@ -100,7 +100,7 @@ def test_inputs_rewards_and_values_are_those_of_the_environment(
 def test_effort_costs_each_shepherd_its_own_way() -> None:
     policy = policy_of()
     plain = rollout_of(policy, groups=1).groups[0]
-    paying = Group(replace(TASK, effort=0.01), 0, WORLDS, 3, policy.config.lidar)
+    paying = WorldGroup(replace(TASK, effort=0.01), 0, WORLDS, 3, policy.config.lidar)
     paying.begin(plain.left)
     command = torch.zeros(WORLDS, TASK.shepherds_max, 2)
     command[:, 0] = torch.tensor([0.3, 0.4])  # 0.5 m/s: below the top speed
@@ -132,7 +132,7 @@ def test_frames_do_not_reach_over_the_start_of_an_episode() -> None:
 def numbers(policy: Policy, rollout: Rollout, updates: int) -> list[Tensor]:
     """Train on; return what came of it."""
     learner, generator = (
-        Learner(policy, PPOConfig(minibatch_size=64)),
+        PPOLearner(policy, PPOConfig(minibatch_size=64)),
         torch.Generator().manual_seed(1),
     )
     for _ in range(updates):

@@ -167,7 +167,9 @@ def test_shepherds_that_are_not_there_are_named_and_the_others_are_served(
         status = graph.until_status('lidar: lidar', 'some shepherds are not in this episode')
         assert status.level == DiagnosticStatus.ERROR
     else:
-        graph.until(lambda: sim.gate.commands.silent() == [0], 'the commands of the other')
+        graph.until(
+            lambda: sim.flock_commands.commands.silent() == [0], 'the commands of the other'
+        )
     assert process.code is None
     assert 'Traceback' not in process.text
 
@@ -258,7 +260,9 @@ def test_a_command_with_another_stamp_is_ignored_warned_of_and_counted(
     pattern = r'command stamped (\d+\.\d{9}) s, expected 6\.500000000 s: ignored; copy the stamp'
     for count in (1, 2):
         publisher.publish(twist(now + off, 1.0, 0.0))
-        graph.until(lambda count=count: sim.gate.counts['wrong_stamp'] == count, 'it is counted')
+        graph.until(
+            lambda count=count: sim.flock_commands.counts['wrong_stamp'] == count, 'it is counted'
+        )
     graph.until(lambda: graph.warnings(pattern), 'a warning')
     assert re.search(pattern, graph.warnings(pattern)[0])[1] == f'{(now + off) / 1e9:.9f}'
     counted(graph, 'wrong_stamp', 2)

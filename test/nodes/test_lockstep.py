@@ -153,7 +153,7 @@ def test_nodes_that_join_a_paused_world_late_get_its_state(graph: Graph) -> None
     idle = graph.host('idle')
     graph.until(lambda: int(sim.state.step) > 3, 'a few steps')
     sim.pacing.paused = True
-    graph.until(lambda: sim.gate.complete, 'all answers to the state that stands')
+    graph.until(lambda: sim.flock_commands.complete, 'all answers to the state that stands')
     step = int(sim.state.step)
     track = graph.track()
     lidar, metrics = graph.host('lidar'), graph.host('metrics')

@@ -121,11 +121,13 @@ def test_a_late_command_within_the_watchdogs_steps_counts_and_an_older_one_does_
     publisher = graph.publisher('shepherd_1/cmd_vel', TwistStamped)
     graph.until(lambda: len(track.stamps) > 6, 'a few steps')
     publisher.publish(twist(track.stamps[-6], 0.5, 0.0))
-    graph.until(lambda: sim.gate.counts['wrong_stamp'] == 1, 'the old command is refused')
-    assert not sim.gate.commands.velocity.any()
+    graph.until(
+        lambda: sim.flock_commands.counts['wrong_stamp'] == 1, 'the old command is refused'
+    )
+    assert not sim.flock_commands.commands.velocity.any()
     publisher.publish(twist(track.stamps[-2], 0.5, 0.0))
-    graph.until(lambda: sim.gate.commands.velocity.any(), 'the late command is taken')
-    assert sim.gate.counts['wrong_stamp'] == 1
+    graph.until(lambda: sim.flock_commands.commands.velocity.any(), 'the late command is taken')
+    assert sim.flock_commands.counts['wrong_stamp'] == 1
 
 
 def test_a_controller_keeps_up_and_none_of_its_commands_is_refused(graph: Graph) -> None:
@@ -153,7 +155,7 @@ def test_plain_twists_drive_the_world_if_both_sides_say_so(graph: Graph, mode: s
         assert names[f'/shepherd_{h}/cmd_vel'] == ['geometry_msgs/msg/Twist']
     first, last = (track.shepherds(track.stamps[k]) for k in (0, -1))
     assert (first != last).any(dim=-1).all()
-    assert not sim.gate.counts
+    assert not sim.flock_commands.counts
 
 
 def test_a_plain_twist_of_anybody_is_taken_for_the_present_state(graph: Graph) -> None:

@@ -93,7 +93,7 @@ def test_a_late_subscriber_is_told_the_running_episode_and_the_goal(
 def test_a_paused_world_stands_until_it_may_go_on(graph: Graph, sim: Any) -> None:
     track = graph.track()
     assert pause(graph, True) == 'paused'
-    graph.until(lambda: sim.gate.complete, 'the answers to the state that stands')
+    graph.until(lambda: sim.flock_commands.complete, 'the answers to the state that stands')
     now = sim.now_ns
     status = graph.until_status('flock_sim: episode', 'paused')
     assert status.level == status.WARN
@@ -108,12 +108,12 @@ def test_a_paused_world_stands_until_it_may_go_on(graph: Graph, sim: Any) -> Non
 def test_step_makes_so_many_steps_and_no_more(graph: Graph, sim: Any) -> None:
     pause(graph, True)
     for arguments, n in (({'n': 3}, 3), ({}, 1), ({'n': 1}, 1), ({'n': 20}, 20)):
-        graph.until(lambda: sim.gate.complete, 'the answers to the state that stands')
+        graph.until(lambda: sim.flock_commands.complete, 'the answers to the state that stands')
         before = sim.now_ns
         answer = graph.call_named('flock_sim/step', **arguments)
         assert answer == [(True, f'{n} steps, then paused')]
         graph.until(
-            lambda goal=before + n * sim.dt_ns: sim.now_ns >= goal and sim.gate.complete,
+            lambda goal=before + n * sim.dt_ns: sim.now_ns >= goal and sim.flock_commands.complete,
             f'{n} steps',
         )
         graph.idle(0.05)
@@ -122,7 +122,7 @@ def test_step_makes_so_many_steps_and_no_more(graph: Graph, sim: Any) -> None:
 
 def test_step_pauses_a_running_world(graph: Graph, sim: Any) -> None:
     graph.call_named('flock_sim/step', n=2)
-    graph.until(lambda: sim.pacing.steps_left == 0 and sim.gate.complete, 'two steps')
+    graph.until(lambda: sim.pacing.steps_left == 0 and sim.flock_commands.complete, 'two steps')
     assert sim.pacing.paused
     now = sim.now_ns
     graph.idle(0.1)

@@ -48,7 +48,7 @@ def test_a_node_with_use_sim_time_follows_the_clock_of_the_world(
     graph.idle(0.05)
     assert clock.now().nanoseconds == sim.now_ns  # it stands with the world
     graph.call_named('flock_sim/step', n=4)
-    graph.until(lambda: sim.pacing.steps_left == 0 and sim.gate.complete, 'four steps')
+    graph.until(lambda: sim.pacing.steps_left == 0 and sim.flock_commands.complete, 'four steps')
     graph.until(lambda: clock.now().nanoseconds == sim.now_ns, 'its clock follows')
     graph.until_status(f'other/{executable}: ', '.')  # once a second of wall time all the same
 

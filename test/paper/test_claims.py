@@ -19,8 +19,8 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.experiments.bootstrap import drawn_again, mean_interval
 from shepherd_ros.experiments.catalog import EXPERIMENTS, QUICK_STEPS
 from shepherd_ros.experiments.results import (
-    read_rows,
-    Rows,
+    read_results,
+    Results,
     schema,
     table_of,
     value_names,
@@ -34,26 +34,26 @@ from shepherd_ros.paper import verdicts
 from shepherd_ros.paper.claims import (
     AGREES,
     Clause,
+    ClauseFinding,
+    combined_verdict,
     DISAGREES,
-    Finding,
-    judge,
+    finding_of,
     Sweep,
-    together,
     UNDECIDED,
     verdict,
 )
-from shepherd_ros.paper.curves import Curve, find_curves, judge_curve, smoothed
+from shepherd_ros.paper.curves import Curve, curve_verdict, find_curves, smoothed
 from shepherd_ros.paper.quantities import below, change, ratio, slope
-from shepherd_ros.paper.report import summary
+from shepherd_ros.paper.report import verdict_summary
 from shepherd_ros.paper.statements import CLAIMS
 from shepherd_ros.paper.verdicts import (
     as_the_paper,
     has_critic,
-    judge_curves,
-    judge_samples,
-    judge_values,
-    Judgement,
     trained_on,
+    Verdict,
+    verdicts_on_curves,
+    verdicts_on_samples,
+    verdicts_on_values,
 )
 from shepherd_ros.policy.checkpoint import save_policy
 from shepherd_ros.policy.policy import Policy, PolicyConfig
@@ -91,7 +91,7 @@ def figure(name: str, **curves: Any) -> Samples:
         for k, setting in enumerate(experiment.settings if mine else ()):
             values = {metric: [0.99 * mean[k], 1.01 * mean[k]] for metric, mean in mine.items()}
             tables.append(made_up(setting, controller, **values))
-    found = samples_of(Rows(pa.concat_tables(tables)), experiment)
+    found = samples_of(Results(pa.concat_tables(tables)), experiment)
     assert found is not None
     return found
 
@@ -132,7 +132,7 @@ def test_a_trajectory_is_counted_as_it_is_by_hand() -> None:
 
 def test_means_of_a_cell_and_their_interval_are_those_by_hand() -> None:
     table = made_up(Setting(sheep=10), 'pierson', completion_time=[10.0, 20.0, 30.0, 40.0])
-    samples = samples_of(Rows(table), EXPERIMENTS['fig4'])
+    samples = samples_of(Results(table), EXPERIMENTS['fig4'])
     assert samples is not None
     assert samples.values['pierson', 'completion_time'].tolist() == [[10, 20, 30, 40]]
     assert '| 10 | Pierson | 25 [15, 35] |' in markdown(samples)
@@ -144,7 +144,7 @@ def test_a_grid_has_flocks_and_controllers_down_and_teams_across() -> None:
         made_up(Setting(sheep=n, shepherds=m), who, completion_time=[value] * 4)
         for (n, m, who), value in cells.items()
     ]
-    samples = samples_of(Rows(pa.concat_tables(tables)), EXPERIMENTS['table'])
+    samples = samples_of(Results(pa.concat_tables(tables)), EXPERIMENTS['table'])
     assert samples is not None
     lines = grid(samples, 'completion_time').splitlines()
     assert lines[0] == '| sheep | controller | M = 1 | M = 3 |'
@@ -158,7 +158,7 @@ def test_a_grid_has_flocks_and_controllers_down_and_teams_across() -> None:
 def test_an_episode_that_is_there_twice_counts_once_and_cells_share_their_seeds() -> None:
     many = made_up(Setting(sheep=10), 'pierson', completion_time=[1.0, 2.0, 3.0])
     few = made_up(Setting(sheep=20), 'pierson', completion_time=[5.0, 6.0])
-    rows = Rows(pa.concat_tables([many, few, many]))
+    rows = Results(pa.concat_tables([many, few, many]))
     assert len(rows) == 5
     samples = samples_of(rows, EXPERIMENTS['fig4'])
     assert samples is not None
@@ -176,7 +176,7 @@ def test_a_controller_with_less_than_half_of_the_episodes_is_left_out() -> None:
         *cells('strombom', range(10, 41, 10)),
         *cells('policy:strombom', range(10, 101, 10), times=(1.0,)),  # all settings, a third
     ]
-    samples = samples_of(Rows(pa.concat_tables(tables)), EXPERIMENTS['fig4'])
+    samples = samples_of(Results(pa.concat_tables(tables)), EXPERIMENTS['fig4'])
     assert samples is not None
     assert sorted(samples.controllers) == ['drover', 'pierson']
     assert sorted(samples.left_out) == ['policy:strombom', 'strombom']
@@ -193,19 +193,19 @@ def test_rows_of_the_same_world_count_whatever_its_setting_is_called() -> None:
     config = rows.schema.get_field_index('config')
     rows = rows.set_column(config, rows.schema.field(config), pa.array([text] * len(rows)))
     sweep = replace(EXPERIMENTS['starts'], settings=(named,))
-    found = samples_of(Rows(rows), sweep)
+    found = samples_of(Results(rows), sweep)
     assert found is not None
     assert found.values['pierson', 'completion_time'].tolist() == [[5.0, 7.0]]
     other = replace(sweep, settings=(Setting(repulsion=1.5),))
-    assert samples_of(Rows(rows), other) is None
+    assert samples_of(Results(rows), other) is None
 
 
 def test_of_a_sweep_only_controllers_of_which_all_is_there_are_drawn() -> None:
     sweep = EXPERIMENTS['starts']
     first, *others = map(settled, sweep.settings)
 
-    def rows(*tables: pa.Table) -> Rows:
-        return Rows(pa.concat_tables(tables))
+    def rows(*tables: pa.Table) -> Results:
+        return Results(pa.concat_tables(tables))
 
     whole = [made_up(s, 'pierson', completion_time=[1.0, 2.0]) for s in (first, *others)]
     alone = made_up(first, 'strombom', completion_time=[1.0, 2.0])
@@ -273,10 +273,10 @@ def test_an_interval_is_held_against_bounds(low: float, high: float, expected: s
 
 
 def test_a_statement_holds_if_all_its_numbers_do() -> None:
-    assert together([AGREES, AGREES]) == AGREES
-    assert together([AGREES, UNDECIDED]) == UNDECIDED
-    assert together([UNDECIDED, DISAGREES, AGREES]) == DISAGREES
-    assert together([]) == UNDECIDED
+    assert combined_verdict([AGREES, AGREES]) == AGREES
+    assert combined_verdict([AGREES, UNDECIDED]) == UNDECIDED
+    assert combined_verdict([UNDECIDED, DISAGREES, AGREES]) == DISAGREES
+    assert combined_verdict([]) == UNDECIDED
 
 
 def test_quantities_of_made_up_curves_are_those_by_hand() -> None:
@@ -289,15 +289,15 @@ def test_quantities_of_made_up_curves_are_those_by_hand() -> None:
     assert ratio('pierson', 'RL', 'flock_spread')(sweep)[0] == pytest.approx(3.5 / 2)
     assert change('pierson', 'flock_spread', 2, 6)(sweep)[0] == pytest.approx(3.0)
     worst = below('', 'flock_spread', 'RL', 'pierson')
-    assert judge(worst, sweep).value == pytest.approx(2.0)
-    assert judge(worst, sweep).verdict == DISAGREES
+    assert finding_of(worst, sweep).value == pytest.approx(2.0)
+    assert finding_of(worst, sweep).verdict == DISAGREES
 
 
 def test_what_is_not_in_the_rows_is_undecided_with_a_reason() -> None:
     samples = figure('fig5', strombom_flock_spread=[1.0] * 6)
     for policy, reason in (('', 'no rows of a policy'), ('policy:x', 'no rows of policy:x')):
         clause = Clause('', ratio('RL', 'strombom', 'flock_spread'), 0, 1)
-        finding = judge(clause, Sweep(samples, policy))
+        finding = finding_of(clause, Sweep(samples, policy))
         assert (finding.verdict, finding.reason) == (UNDECIDED, reason)
 
 
@@ -319,9 +319,9 @@ AS_IN_THE_PAPER = {
 
 
 def test_numbers_like_those_of_the_paper_agree_with_all_it_states_on_figure_4() -> None:
-    judgements = judge_samples(figure('fig4', **AS_IN_THE_PAPER))
-    assert len(judgements) == sum(claim.experiment == 'fig4' for claim in CLAIMS)
-    assert [j.verdict for j in judgements] == [AGREES] * len(judgements)
+    outcomes = verdicts_on_samples(figure('fig4', **AS_IN_THE_PAPER))
+    assert len(outcomes) == sum(claim.experiment == 'fig4' for claim in CLAIMS)
+    assert [j.verdict for j in outcomes] == [AGREES] * len(outcomes)
 
 
 def test_numbers_the_other_way_round_disagree() -> None:
@@ -329,15 +329,15 @@ def test_numbers_the_other_way_round_disagree() -> None:
         name.replace('rl_', 'x_').replace('pierson_', 'rl_').replace('x_', 'pierson_'): values
         for name, values in AS_IN_THE_PAPER.items()
     }
-    judgements = {j.statement: j.verdict for j in judge_samples(figure('fig4', **other))}
+    outcomes = {j.statement: j.verdict for j in verdicts_on_samples(figure('fig4', **other))}
     for start in ('Pierson is the fastest', 'Pierson shepherds', 'RL has the shortest'):
-        assert next(v for s, v in judgements.items() if s.startswith(start)) == DISAGREES
+        assert next(v for s, v in outcomes.items() if s.startswith(start)) == DISAGREES
 
 
 def test_a_policy_that_was_not_trained_on_reynolds_gets_no_verdict_there() -> None:
     high = np.full(10, 0.99)
     samples = figure('fig8', rl_fraction_reached=high, pierson_fraction_reached=high)
-    judged = judge_samples(samples)
+    judged = verdicts_on_samples(samples)
     mine = [j for j in judged if j.policy]
     assert mine
     assert {j.verdict for j in mine} == {UNDECIDED}
@@ -398,7 +398,7 @@ def curve(samples: float, returns: Any) -> Curve:
 def test_a_curve_rises_and_flattens_or_does_not(
     samples: float, returns: Any, expected: str
 ) -> None:
-    assert judge_curve(curve(samples, returns))[0] == expected
+    assert curve_verdict(curve(samples, returns))[0] == expected
 
 
 def test_curves_are_found_in_files_and_runs(tmp_path: Path) -> None:
@@ -408,7 +408,7 @@ def test_curves_are_found_in_files_and_runs(tmp_path: Path) -> None:
         path.write_text('\n'.join(map(json.dumps, lines)))
     found = find_curves([tmp_path])
     assert [(c.name, c.returns.tolist()) for c in found] == [('a', [0, 1, 2]), ('run', [0, 1, 2])]
-    assert judge_curves([])[0].verdict == UNDECIDED
+    assert verdicts_on_curves([])[0].verdict == UNDECIDED
     (tmp_path / 'b.jsonl').write_text('{"loss": 1}')
     with pytest.raises(ConfigError, match=r'b.jsonl is no curve of a training'):
         find_curves([tmp_path / 'b.jsonl'])
@@ -419,7 +419,7 @@ def test_trainings_of_one_policy_are_judged_together() -> None:
     names = {'a': flat, 'b': flat, 'a.seed_1': steep}
     samples = np.linspace(0, 100e6, 40)
     curves = [Curve(name, samples, np.array(r, float), True) for name, r in names.items()]
-    first, second = judge_curves(curves)
+    first, second = verdicts_on_curves(curves)
     assert (first.policy, first.verdict) == ('a', DISAGREES)  # one of its two does
     assert [f.verdict for f in first.findings] == [AGREES, DISAGREES]
     assert (second.policy, second.verdict) == ('b', AGREES)
@@ -448,12 +448,12 @@ def test_a_value_map_is_what_the_critic_says_of_the_third_shepherd() -> None:
     best.values[row, column] = 1.0
     assert best.behind > 0.9
     assert best.high_share == 1 / 41**2
-    assert {j.verdict for j in judge_values([])} == {UNDECIDED}
+    assert {j.verdict for j in verdicts_on_values([])} == {UNDECIDED}
 
 
 def test_areas_are_compared_for_every_pair_of_critics(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(verdicts, 'MAPS', 2)
-    judged = judge_values(['policy:strombom', 'policy:paper_network', 'policy:reynolds'])
+    judged = verdicts_on_values(['policy:strombom', 'policy:paper_network', 'policy:reynolds'])
     by_statement = [j.policy for j in judged if j.statement.startswith('The areas')]
     assert len(judged) == 3 + 2
     assert len(by_statement) == 2
@@ -461,13 +461,13 @@ def test_areas_are_compared_for_every_pair_of_critics(monkeypatch: pytest.Monkey
 
 
 def test_the_summary_counts_a_statement_once_and_as_the_worst_of_its_policies() -> None:
-    def judged(statement: str, policy: str, low: float, counts: bool = True) -> Judgement:
+    def judged(statement: str, policy: str, low: float, counts: bool = True) -> Verdict:
         clause = Clause('x', slope('pierson', 'completion_time'), 0.0, 1.0)
-        finding = Finding(clause, low, low, low + 0.2, verdict(low, low + 0.2, 0.0, 1.0))
-        return Judgement('fig4', statement, policy, (finding,), (None,), counts)
+        finding = ClauseFinding(clause, low, low, low + 0.2, verdict(low, low + 0.2, 0.0, 1.0))
+        return Verdict('fig4', statement, policy, (finding,), (None,), counts)
 
     inside, outside, across = 0.5, 2.0, 0.9
-    lines = summary([
+    lines = verdict_summary([
         judged('one', 'policy:a', inside), judged('one', 'policy:b', outside),
         judged('two', 'policy:a', inside), judged('two', 'policy:b', inside),
         judged('three', 'policy:a', inside), judged('three', 'policy:b', across),
@@ -506,10 +506,10 @@ def test_rows_of_two_kinds_are_not_mixed(tmp_path: Path) -> None:
     whole = made_up(Setting(sheep=10), 'idle', completion_time=[1.0])
     other = replace(EXPERIMENTS['fig4'], controllers=('idle',))
     with pytest.raises(ConfigError, match='rows with steps 5 and 1000 are mixed'):
-        samples_of(Rows(pa.concat_tables([short, whole])), other)
+        samples_of(Results(pa.concat_tables([short, whole])), other)
     again = whole.set_column(0, schema().field('key'), pa.array(['another']))
     with pytest.raises(ConfigError, match='rows of 2 configurations or checkpoints'):
-        samples_of(Rows(pa.concat_tables([whole, again])), other)
+        samples_of(Results(pa.concat_tables([whole, again])), other)
 
 
 @pytest.mark.timeout(300)
@@ -523,7 +523,7 @@ def test_the_page_has_every_statement_and_the_same_bytes_again(tmp_path: Path) -
                 write_rows(path, made_up(setting, controller, **values))
     # the plain start without noise is in both, and counts once
     cells = {str(s) for name in ('fig6', 'starts') for s in EXPERIMENTS[name].settings}
-    assert len(read_rows([tmp_path / 'rows'])) == len(cells) * 3 * 2
+    assert len(read_results([tmp_path / 'rows'])) == len(cells) * 3 * 2
     words = ['figures', str(tmp_path / 'rows'), '--report', '--command', 'make paper']
     for out in ('a', 'b'):
         assert main([*words, '--out', str(tmp_path / out)]) == 0

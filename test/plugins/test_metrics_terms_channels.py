@@ -14,7 +14,7 @@ from nodes.process import DEADLINE, Graph
 import pyarrow.parquet as parquet
 import pytest
 from shepherd_ros.config import ConfigError
-from shepherd_ros.policy.checkpoint import read_metadata
+from shepherd_ros.policy.checkpoint import read_checkpoint_metadata
 from shepherd_ros.recordings.check import check_bag
 from shepherd_ros.recordings.episodes import iter_episodes
 from shepherd_ros.rosbag2.reader import open_bag
@@ -127,7 +127,7 @@ def test_in_training(trained: Path) -> None:
     said = run(SHEPHERD, 'checkpoint', 'info', trained / 'best.safetensors')
     assert '"others": "posts"' in said
     with pytest.raises(ConfigError, match="others is 'posts'"):
-        read_metadata(trained / 'best.safetensors')  # not without the plug-in
+        read_checkpoint_metadata(trained / 'best.safetensors')  # not without the plug-in
     card = run(SHEPHERD, 'checkpoint', 'card', trained / 'best.safetensors')
     assert 'channels sheep, shepherds, goal, posts,' in card
     assert '| reward.path | 0.5 |' in card

@@ -15,7 +15,7 @@ from shepherd_ros.learning.train_ppo import PPORunConfig
 from shepherd_ros.policy.checkpoint import (
     checkpoint_file,
     load_policy,
-    read_metadata,
+    read_checkpoint_metadata,
     save_policy,
     shipped_checkpoints,
 )
@@ -49,7 +49,7 @@ def test_a_policy_comes_back_as_it_was(checkpoint: Path) -> None:
         assert torch.equal(back.state_dict()[name], value), name
     frames = 20 * torch.rand(4, 3, 3, 64)
     assert torch.equal(policy.act(frames), back.act(frames))
-    config, record, _ = read_metadata(checkpoint)
+    config, record, _ = read_checkpoint_metadata(checkpoint)
     assert (config, record) == (SMALL, {'command': 'none', 'seed': 3})
     assert [path.name for path in checkpoint.parent.iterdir()] == [checkpoint.name]
 
@@ -129,7 +129,7 @@ def test_what_a_terminal_or_a_reader_cannot_bear_is_not_shown(
 
 def test_shipped_checkpoints_say_how_they_were_made() -> None:
     for name in shipped_checkpoints():
-        record = read_metadata(checkpoint_file(name))[1]
+        record = read_checkpoint_metadata(checkpoint_file(name))[1]
         for key in ('command', 'seed', 'wall_time_s', 'code'):
             assert key in record
         run = DaggerConfig if 'dagger' in record['command'] else PPORunConfig

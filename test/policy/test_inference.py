@@ -84,7 +84,7 @@ def test_actions_are_held_and_frames_are_apart_as_told() -> None:
             looked.append(t)
             return reading
 
-        command, memory = inference.fly(policy, look, present, memory, 1.0)
+        command, memory = inference.act(policy, look, present, memory, 1.0)
         decided = t - t % 2
         frames = [max(decided - back, 0) for back in (8, 4, 0)]
         stack = torch.stack([readings[k] for k in frames], dim=1)
@@ -97,7 +97,7 @@ def test_a_command_is_at_most_the_top_speed_and_the_absent_keep_still() -> None:
     policy.actor.head.bias.data = torch.tensor([30.0, 40.0, 0.0, 0.0])
     memory = inference.begin(policy, (2,), 2)
     present = torch.tensor([[True, False], [False, True]])
-    command, memory = inference.fly(
+    command, memory = inference.act(
         policy, lambda: torch.full((2, 2, 3, 512), math.inf), present, memory, 0.5
     )
     speed = command.norm(dim=-1)

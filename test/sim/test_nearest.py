@@ -4,9 +4,9 @@ from itertools import product
 
 import numpy as np
 from shepherd_ros.sim.neighbors_compiled import (
-    below,
     bound_of,
     break_tie,
+    choose_below,
     squares,
     squares_of,
 )
@@ -61,5 +61,5 @@ def test_distances_and_who_is_below_a_bound_by_hand() -> None:
     who = np.array([3, 2, 0])
     squares_of(0, xs, ys, who, 3, squared)
     assert squared[:3].tolist() == [100, 1, np.inf]
-    assert below(np.float32(100), 3, squared, who, chosen) == 1  # a bound is below none
+    assert choose_below(np.float32(100), 3, squared, who, chosen) == 1  # a bound is below none
     assert chosen[0] == 2

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from shepherd_ros.config import option
-from shepherd_ros.sim.compiled import usable
+from shepherd_ros.sim.compiled import compilable
 from shepherd_ros.sim.flocking.base import FLOCK_MODELS, FlockConfig, FlockModel
 from shepherd_ros.sim.flocking.reynolds_compiled import reynolds_step
 from shepherd_ros.sim.flocking.strombom import offsets, StrombomFlock
@@ -63,14 +63,16 @@ class ReynoldsFlock(FlockConfig):
         return StrombomFlock().shepherd_range
 
 
-def direction(term: Tensor) -> Tensor:
+def soft_unit(term: Tensor) -> Tensor:
     """Return (..., 2) made one long; a tiny one stays short, so that rounding has no say."""
     return term / torch.linalg.vector_norm(term, dim=-1, keepdim=True).clamp(min=TINY)
 
 
-def step(state: WorldState, config: ReynoldsFlock, dt: float) -> tuple[Tensor, Tensor]:
+def reynolds_flock_step(
+    state: WorldState, config: ReynoldsFlock, dt: float
+) -> tuple[Tensor, Tensor]:
     """Return sheep and heading after dt; every sheep moves exactly speed * dt."""
-    if usable(state.sheep, state.shepherds):
+    if compilable(state.sheep, state.shepherds):
         return reynolds_step(state, config, dt)
     heading = steered(state.sheep, state, config, dt)
     return state.sheep + (config.speed * dt) * heading, heading
@@ -105,8 +107,8 @@ def steered(sheep: Tensor, state: WorldState, config: ReynoldsFlock, dt: float) 
     noticed = (squared < config.view_range**2) & state.shepherd_mask[..., None, :]
     fear = repulsion(x, y, squared, noticed)
     if config.terms == 'unit':
-        separation, cohesion, fear = direction(separation), direction(cohesion), direction(fear)
-        alignment = direction(ahead) - direction(state.heading) * (count > 0)
+        separation, cohesion, fear = soft_unit(separation), soft_unit(cohesion), soft_unit(fear)
+        alignment = soft_unit(ahead) - soft_unit(state.heading) * (count > 0)
     acceleration = (
         config.separation * separation
         + config.alignment * alignment
@@ -118,7 +120,7 @@ def steered(sheep: Tensor, state: WorldState, config: ReynoldsFlock, dt: float) 
     return torch.where(length < EPSILON, state.heading, velocity / length.clamp(min=EPSILON))
 
 
-def first_heading(seed: Tensor, n: int, config: ReynoldsFlock) -> Tensor:
+def _first_heading(seed: Tensor, n: int, config: ReynoldsFlock) -> Tensor:
     """Return one random heading per flock with a normal spread around it; -> (..., n, 2)."""
     start, index = torch.zeros_like(seed), torch.arange(n, device=seed.device)
     common = uniform(seed, start, Stream.HEADING, index[:1]) * (2 * torch.pi)
@@ -127,4 +129,4 @@ def first_heading(seed: Tensor, n: int, config: ReynoldsFlock) -> Tensor:
     )
 
 
-FLOCK_MODELS.add(FlockModel('reynolds', ReynoldsFlock, first_heading, step))
+FLOCK_MODELS.add(FlockModel('reynolds', ReynoldsFlock, _first_heading, reynolds_flock_step))

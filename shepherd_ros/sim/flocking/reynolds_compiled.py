@@ -6,12 +6,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from shepherd_ros.sim.compiled import compiled, flat
+from shepherd_ros.sim.compiled import compiled, flat_array
 from shepherd_ros.sim.neighbor_grid import build, leaves_out, nothing, within
-from shepherd_ros.sim.neighbors_compiled import below, in_reach, squares, squares_of
+from shepherd_ros.sim.neighbors_compiled import choose_below, in_reach, squares, squares_of
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import EPSILON
-from shepherd_ros.sim.vectors_compiled import length, unit
+from shepherd_ros.sim.vectors_compiled import length, unit_xy
 import torch
 from torch import Tensor
 
@@ -95,10 +95,10 @@ def _reynolds(
             if large:
                 found = within(i, view, grid, some)
                 squares_of(i, xs, ys, some, found, squared)
-                count = below(view * view, found, squared, some, chosen)
+                count = choose_below(view * view, found, squared, some, chosen)
             else:
                 squares(i, xs, ys, mask[b], squared)
-                count = below(view * view, n, squared, who, chosen)
+                count = choose_below(view * view, n, squared, who, chosen)
             u, v = heading[b, i, 0] * speed, heading[b, i, 1] * speed
             force_x, force_y = _ZERO, _ZERO
             if count > 0:
@@ -121,7 +121,7 @@ def _reynolds(
             if directions:
                 away_x, away_y = _direction(away_x, away_y)
             force_x, force_y = _limited(force_x + w_f * away_x, force_y + w_f * away_y, limit)
-            way_x, way_y = unit(u + force_x * dt, v + force_y * dt)
+            way_x, way_y = unit_xy(u + force_x * dt, v + force_y * dt)
             if way_x == 0 and way_y == 0:
                 way_x, way_y = heading[b, i, 0], heading[b, i, 1]
             new_heading[b, i, 0], new_heading[b, i, 1] = way_x, way_y
@@ -131,7 +131,7 @@ def _reynolds(
 
 def reynolds_step(state: WorldState, config: Any, dt: float) -> tuple[Tensor, Tensor]:
     """Return what sim.flocking.reynolds.step() does."""
-    sheep = flat(state.sheep, 2)
+    sheep = flat_array(state.sheep, 2)
     new_sheep, new_heading = np.empty_like(sheep), np.empty_like(sheep)
     weights = (
         config.view_range,
@@ -146,10 +146,10 @@ def reynolds_step(state: WorldState, config: Any, dt: float) -> tuple[Tensor, Te
     )
     _reynolds(
         sheep,
-        flat(state.heading, 2),
-        flat(state.sheep_mask, 1),
-        flat(state.shepherds, 2),
-        flat(state.shepherd_mask, 1),
+        flat_array(state.heading, 2),
+        flat_array(state.sheep_mask, 1),
+        flat_array(state.shepherds, 2),
+        flat_array(state.shepherd_mask, 1),
         config.terms == 'unit',
         *(np.float32(weight) for weight in weights),
         new_sheep,

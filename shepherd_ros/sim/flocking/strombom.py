@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from shepherd_ros.config import option
-from shepherd_ros.sim.compiled import usable
+from shepherd_ros.sim.compiled import compilable
 from shepherd_ros.sim.flocking.base import FLOCK_MODELS, FlockConfig, FlockModel
 from shepherd_ros.sim.flocking.strombom_compiled import strombom_step
 from shepherd_ros.sim.fused import fused
@@ -125,14 +125,16 @@ def forces(
     return from_sheep, attraction, push(x, y, squared, noticed), noticed.any(dim=-1)
 
 
-def step(state: WorldState, config: StrombomFlock, dt: float) -> tuple[Tensor, Tensor]:
+def strombom_flock_step(
+    state: WorldState, config: StrombomFlock, dt: float
+) -> tuple[Tensor, Tensor]:
     """
     Return sheep and heading after dt; every reacting sheep moves exactly speed * dt.
 
     Equations 4.1 to 4.3: each term is a unit vector before it is weighted, and the sum is made
     one. Only the pushes of several shepherds are added as they are.
     """
-    if usable(state.sheep, state.shepherds):
+    if compilable(state.sheep, state.shepherds):
         return strombom_step(state, config, dt)
     sheep = state.sheep
     index = torch.arange(sheep.shape[-2], device=sheep.device)
@@ -161,10 +163,10 @@ def step(state: WorldState, config: StrombomFlock, dt: float) -> tuple[Tensor, T
     return sheep + torch.where(moving, (config.speed * dt) * heading, 0.0), heading
 
 
-def first_heading(seed: Tensor, n: int, config: StrombomFlock) -> Tensor:
+def _first_heading(seed: Tensor, n: int, config: StrombomFlock) -> Tensor:
     """Return independent random headings; (...) int64 -> (..., n, 2)."""
     index = torch.arange(n, device=seed.device)
     return direction(seed, torch.zeros_like(seed), Stream.HEADING, index)
 
 
-FLOCK_MODELS.add(FlockModel('strombom', StrombomFlock, first_heading, step))
+FLOCK_MODELS.add(FlockModel('strombom', StrombomFlock, _first_heading, strombom_flock_step))

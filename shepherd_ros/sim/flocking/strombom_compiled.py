@@ -7,21 +7,21 @@ import math
 from typing import Any
 
 import numpy as np
-from shepherd_ros.sim.compiled import compiled, flat
+from shepherd_ros.sim.compiled import compiled, flat_array
 from shepherd_ros.sim.neighbor_grid import around, build, leaves_out, nothing, within
 from shepherd_ros.sim.neighbors_compiled import (
-    below,
     bound_of,
     break_tie,
+    choose_below,
     in_reach,
     squares,
     squares_of,
 )
 from shepherd_ros.sim.rng import Stream
-from shepherd_ros.sim.rng_compiled import direction_at, key_of, uniform_at
+from shepherd_ros.sim.rng_compiled import direction_at, stream_key, uniform_at
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import EPSILON
-from shepherd_ros.sim.vectors_compiled import length, unit
+from shepherd_ros.sim.vectors_compiled import length, unit_xy
 import torch
 from torch import Tensor
 
@@ -105,7 +105,7 @@ def _cohesion(sum_x, sum_y, count, x, y, metric):
     if count > 0:
         to_x, to_y = sum_x / np.float32(count) - x, sum_y / np.float32(count) - y
     if not metric:
-        to_x, to_y = unit(to_x, to_y)
+        to_x, to_y = unit_xy(to_x, to_y)
     return to_x, to_y
 
 
@@ -116,10 +116,10 @@ def _turned(
 ):  # fmt: skip
     """Return the heading after the terms of the flock, the one before where they cancel."""
     random_x, random_y = direction_at(turn, i)
-    apart_x, apart_y = unit(apart_x, apart_y)
+    apart_x, apart_y = unit_xy(apart_x, apart_y)
     if normalize:
-        away_x, away_y = unit(away_x, away_y)
-    new_x, new_y = unit(
+        away_x, away_y = unit_xy(away_x, away_y)
+    new_x, new_y = unit_xy(
         h * way_x + c * to_x + rho_a * apart_x + rho_s * away_x + e * random_x,
         h * way_y + c * to_y + rho_a * apart_y + rho_s * away_y + e * random_y,
     )
@@ -147,7 +147,7 @@ def _strombom(
     chosen, who = np.empty(n, np.int64), np.empty(n, np.int64)
     noticed, reach = np.empty(shepherds.shape[1], np.int64), sheep_range * sheep_range
     for b in range(sheep.shape[0]):
-        turn, graze = key_of(seed[b], step[b], _TURN), key_of(seed[b], step[b], _GRAZE)
+        turn, graze = stream_key(seed[b], step[b], _TURN), stream_key(seed[b], step[b], _GRAZE)
         here, team = mask[b], shepherd_mask[b]
         others, sum_x, sum_y = _relative(sheep[b], here, xs, ys, near_x, near_y, who, who_x, who_y)
         count, found, beyond = min(others, n_neighbors), n, _ONE
@@ -164,7 +164,7 @@ def _strombom(
                     squares_of(i, xs, ys, who, found, squared)
                 else:
                     squares(i, xs, ys, here, squared)
-                met = below(reach, found, squared, who, chosen)
+                met = choose_below(reach, found, squared, who, chosen)
                 apart_x, apart_y = _push(x, y, sheep[b], chosen, met)
                 to_x, to_y = sum_x - near_x[i], sum_y - near_y[i]
                 if 0 < count < others:
@@ -192,7 +192,7 @@ def _strombom(
 
 def strombom_step(state: WorldState, config: Any, dt: float) -> tuple[Tensor, Tensor]:
     """Return what sim.flocking.strombom.step() does."""
-    sheep = flat(state.sheep, 2)
+    sheep = flat_array(state.sheep, 2)
     new_sheep, new_heading = np.empty_like(sheep), np.empty_like(sheep)
     weights = (
         config.shepherd_range,
@@ -206,13 +206,13 @@ def strombom_step(state: WorldState, config: Any, dt: float) -> tuple[Tensor, Te
         config.speed * dt,
     )
     _strombom(
-        flat(state.seed, 0),
-        flat(state.step, 0),
+        flat_array(state.seed, 0),
+        flat_array(state.step, 0),
         sheep,
-        flat(state.heading, 2),
-        flat(state.sheep_mask, 1),
-        flat(state.shepherds, 2),
-        flat(state.shepherd_mask, 1),
+        flat_array(state.heading, 2),
+        flat_array(state.sheep_mask, 1),
+        flat_array(state.shepherds, 2),
+        flat_array(state.shepherd_mask, 1),
         config.n_neighbors,
         *(np.float32(weight) for weight in weights),
         config.normalize_shepherds,
