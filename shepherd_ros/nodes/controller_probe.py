@@ -24,12 +24,12 @@ LATCHED = 5.0  # [s] that readers get to take what is latched, before states fol
 PATIENCE = 60.0  # [s] that a controller may take for an answer, its start included
 
 
-class Questioner(ShepherdNode):
+class ControllerProbe(ShepherdNode):
     """Shows states one by one, each with the bytes that were recorded, and waits for answers."""
 
     def __init__(self, **kwargs: Any) -> None:
         """Create the node; topics come with the first episode."""
-        super().__init__('questioner', **kwargs)
+        super().__init__('controller_probe', **kwargs)
         self.outputs: dict[str, Output] = {}
         self.inputs: list[Any] = []
         self.hearing = make_executor('single')
@@ -95,10 +95,10 @@ class Questioner(ShepherdNode):
 
 
 @contextmanager
-def questioning() -> Iterator[Questioner]:
-    """Give a questioner."""
+def open_controller_probe() -> Iterator[ControllerProbe]:
+    """Yield a probe of a controller, in a ROS context of its own."""
     begin()
-    node = Questioner()
+    node = ControllerProbe()
     try:
         yield node
     finally:

@@ -20,14 +20,14 @@ from shepherd_ros.wire.episode import Episode
 from shepherd_ros.wire.topics import metric_topic, scan_topic
 
 
-class Witness(ShepherdNode):
+class EpisodeProbe(ShepherdNode):
     """Listens to a whole stack and keeps what it hears of the first episode."""
 
     backlog = 10_000  # it hears more than anybody and may be slower than the stack
 
     def __init__(self, shepherd: int = 0, **kwargs: Any) -> None:
         """Listen to everything, to the scans of one shepherd only."""
-        super().__init__('witness', **kwargs)
+        super().__init__('episode_probe', **kwargs)
         self.shepherd = shepherd
         self.episode: Episode | None = None
         self.step = -1  # newest step heard
@@ -77,10 +77,12 @@ class Witness(ShepherdNode):
 
 
 @contextmanager
-def witnessing(shepherd: int = 0) -> Iterator[tuple[Witness, Callable[[float], None]]]:
-    """Give a witness and a function that lets it hear for at most some time [s]."""
+def open_episode_probe(
+    shepherd: int = 0,
+) -> Iterator[tuple[EpisodeProbe, Callable[[float], None]]]:
+    """Yield a probe and a function that spins it for at most some time [s]."""
     begin()
-    node = Witness(shepherd)
+    node = EpisodeProbe(shepherd)
     executor = make_executor('events')
     executor.add_node(node)
     try:

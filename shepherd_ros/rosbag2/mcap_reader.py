@@ -26,8 +26,8 @@ from shepherd_ros.rosbag2.records import (
     PREFIX,
     read_at,
     read_record,
-    Record,
     record_at,
+    RecordRef,
     unpack,
     walk,
 )
@@ -68,7 +68,7 @@ class Definitions:
         elif isinstance(item, MetadataRecord) and item.name == 'rosbag2':
             self.text = item.metadata.get('serialized_metadata') or self.text
 
-    def take(self, file: BinaryIO, record: Record) -> list[Message]:
+    def take(self, file: BinaryIO, record: RecordRef) -> list[Message]:
         """Take the definitions in a record, return its messages; raises DamageError."""
         if record.opcode == Opcode.CHUNK:
             chunk = read_record(file, record)
@@ -90,7 +90,7 @@ class Definitions:
                 self.define(item)
         return messages
 
-    def walk(self, file: BinaryIO, end: int) -> Iterator[tuple[Record, list[Message]]]:
+    def walk(self, file: BinaryIO, end: int) -> Iterator[tuple[RecordRef, list[Message]]]:
         """Yield the records in front of end and of the end of the data, each with its messages."""
         offset = len(MAGIC)
         while offset < end:
@@ -106,7 +106,7 @@ class Definitions:
 
     def damaged(
         self, file: BinaryIO, offset: int, error: DamageError
-    ) -> tuple[Record, list[Message]]:
+    ) -> tuple[RecordRef, list[Message]]:
         """Return what stands for the damage at an offset, and its messages; or raise the error."""
         raise error
 

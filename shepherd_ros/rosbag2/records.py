@@ -50,7 +50,7 @@ _PARSED: dict[int, Any] = {
 }
 
 
-class Record(NamedTuple):
+class RecordRef(NamedTuple):
     """Where a record lies in a file [bytes]."""
 
     opcode: int
@@ -88,10 +88,10 @@ def read_at(file: BinaryIO, offset: int, length: int) -> bytes:
     return data
 
 
-def record_at(file: BinaryIO, offset: int, end: int) -> Record:
+def record_at(file: BinaryIO, offset: int, end: int) -> RecordRef:
     """Return the record that begins at offset and fits in front of end; raises DamageError."""
     opcode, length = PREFIX.unpack(read_at(file, offset, PREFIX.size))
-    record = Record(opcode, offset, length)
+    record = RecordRef(opcode, offset, length)
     if opcode == 0 or Opcode.DATA_END < opcode < 0x80:
         raise DamageError(offset, f'a record of unknown kind {opcode}')
     if record.end > end:
@@ -99,7 +99,7 @@ def record_at(file: BinaryIO, offset: int, end: int) -> Record:
     return record
 
 
-def walk(file: BinaryIO, offset: int, end: int) -> Iterator[Record]:
+def walk(file: BinaryIO, offset: int, end: int) -> Iterator[RecordRef]:
     """Yield all records from offset to end; raises DamageError."""
     while offset < end:
         record = record_at(file, offset, end)
@@ -194,7 +194,7 @@ def contents(data: bytes, offset: int) -> Iterator[Message | Schema | Channel | 
         at = end
 
 
-def read_record(file: BinaryIO, record: Record) -> Any:
+def read_record(file: BinaryIO, record: RecordRef) -> Any:
     """Return what parse() makes of a record of a file; raises DamageError."""
     return parse(record.opcode, read_at(file, record.body, record.length), record.offset)
 

@@ -26,8 +26,8 @@ from shepherd_ros.rosbag2.records import (
     PREFIX,
     read_at,
     read_record,
-    Record,
     record_at,
+    RecordRef,
     unpack,
     walk,
 )
@@ -78,7 +78,7 @@ class Salvage(Definitions):
                         self.lost_bytes += len(message.data)
                         self.unread['messages of unknown topics'] += 1
 
-    def take(self, file: BinaryIO, record: Record) -> list[Message]:
+    def take(self, file: BinaryIO, record: RecordRef) -> list[Message]:
         """Return the messages of a record; raises DamageError."""
         if record.opcode in DEFINITIONS:
             with suppress(DamageError):
@@ -111,14 +111,14 @@ class Salvage(Definitions):
 
     def damaged(
         self, file: BinaryIO, offset: int, error: DamageError
-    ) -> tuple[Record, list[Message]]:
+    ) -> tuple[RecordRef, list[Message]]:
         """Return the gap until the next whole chunk, and messages of the torn end in it."""
         found = self._next_chunk(file, offset + 1)
         messages, kept = ([], 0) if found else self._torn(file, offset)
         end = found or self.size
         self.lost_bytes += end - offset - kept
         self.lost_chunks += 1
-        return Record(GAP, offset, end - offset - PREFIX.size), messages
+        return RecordRef(GAP, offset, end - offset - PREFIX.size), messages
 
     def _next_chunk(self, file: BinaryIO, offset: int) -> int | None:
         """Return where the next chunk that is whole begins, None if there is none."""

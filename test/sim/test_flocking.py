@@ -29,7 +29,7 @@ from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.rng import direction, Stream, uniform
 from shepherd_ros.sim.state import WorldState
-from shepherd_ros.sim.transition import step, usable
+from shepherd_ros.sim.transition import finite_command, step
 from shepherd_ros.sim.world import WorldConfig
 import torch
 from torch import Tensor
@@ -401,7 +401,7 @@ def test_a_command_with_a_non_finite_part_counts_as_zero() -> None:
         command = torch.tensor([[0.5, 0.5], [0.3, -0.2], [0.1, 0.9]], dtype=torch.float64)
         broken, zeroed = command.clone(), command.clone()
         broken[1, axis], zeroed[1] = bad, 0.0
-        assert usable(broken).tolist() == [True, False, True]
+        assert finite_command(broken).tolist() == [True, False, True]
         assert_same_world(step(state, broken, WorldConfig()), step(state, zeroed, WorldConfig()))
 
 
