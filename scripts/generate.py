@@ -21,9 +21,10 @@ from shepherd_ros.policy.checkpoint import (
     shipped_checkpoints,
 )
 from shepherd_ros.sim.flocking import FLOCK_MODELS
-from shepherd_ros.sim.lidar_layout import CHANNELS
+from shepherd_ros.sim.lidar_layout import CHANNELS, PAPER_CHANNELS
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.world import SpawnConfig, WorldConfig
+from shepherd_ros.wire import topics
 from shepherd_ros.wire.schemas import (
     config_schema,
     installed_text,
@@ -41,6 +42,7 @@ from shepherd_ros.wire.topics import (
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
+TOPICS = 'msg_schemas/topics.yaml'
 
 
 def members() -> dict[str, list[Topic]]:
@@ -48,7 +50,9 @@ def members() -> dict[str, list[Topic]]:
     scans, values = families().values()
     stamp = scans.meaning.removeprefix('a channel of a lidar')
     return {
-        scans.name: [member(scans, c.name, meaning=c.meaning + stamp) for c in CHANNELS.values()],
+        scans.name: [
+            member(scans, name, meaning=CHANNELS[name].meaning + stamp) for name in PAPER_CHANNELS
+        ],
         values.name: [
             member(values, m.name, unit=m.unit, meaning=m.meaning) for m in METRICS.values()
         ],
@@ -121,3 +125,6 @@ if __name__ == '__main__':
     for path, content in fresh():
         (ROOT / path).parent.mkdir(exist_ok=True)
         (ROOT / path).write_text(content, encoding='utf-8')
+        if path == TOPICS:  # which the files after it are made from
+            for read in (topics._table, topics.contract, topics.families):
+                read.cache_clear()

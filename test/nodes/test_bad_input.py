@@ -19,7 +19,7 @@ USER_MISTAKE = 2
 # executable, words after --ros-args, what it has to say
 REFUSED = {
     'unknown flock': ('flock_sim', '-p flock:=boids',
-                      "flock is 'boids': expected one of reynolds, strombom"),
+                      "flock is 'boids': expected one of"),
     'misspelt flock': ('flock_sim', '-p flock:=strombm', "did you mean 'strombom'"),
     'unknown preset': ('flock_sim', '-p preset:=papyrus', "preset is 'papyrus': expected one of"),
     'misspelt preset of a heuristic': ('pierson', '-p preset:=papr', "did you mean 'paper'"),
