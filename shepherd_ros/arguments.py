@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from shepherd_ros.config import choices_of, Config
 import tyro
 
-C = TypeVar('C', bound=Config)
+_C = TypeVar('_C', bound=Config)
 
 
 def arguments_of(
@@ -54,7 +54,7 @@ def plain(arguments: Any) -> dict[str, Any]:
     }
 
 
-def configured(kind: type[C], arguments: Any) -> C:
+def configured(kind: type[_C], arguments: Any) -> _C:
     """Return the configuration that arguments ask for, or raise ConfigError."""
     return kind.from_dict(plain(arguments))
 

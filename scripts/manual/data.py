@@ -10,7 +10,7 @@ from shepherd_ros.datasets import lerobot_format
 from shepherd_ros.experiments.catalog import EXPERIMENTS
 from shepherd_ros.policy.checkpoint import (
     checkpoint_file,
-    FORMAT,
+    CHECKPOINT_FORMAT,
     read_checkpoint_metadata,
     shipped_checkpoints,
 )
@@ -87,8 +87,8 @@ def dataset() -> str:
     """Return the page of the columns of a data set."""
     intro = f"""
 `shepherd dataset build` writes the folders and columns of LeRobot 3.0, format
-`{lerobot_format.FORMAT}`. A row is a step of one shepherd. A LeRobot episode is a run of one
-shepherd's steps without a hole.
+`{lerobot_format.DATASET_FORMAT}`. A row is a step of one shepherd. A LeRobot episode is a run of
+one shepherd's steps without a hole.
 
 | file | content |
 | --- | --- |
@@ -117,7 +117,7 @@ def checkpoints() -> str:
     known = dict.fromkeys(key for record in records.values() for key in record)
     rows = [[code(key), RECORD.get(key, '')] for key in RECORD if key in known]
     head = [
-        ['`format`', code(FORMAT)],
+        ['`format`', code(CHECKPOINT_FORMAT)],
         ['`version`', 'version of the package'],
         ['`config`', 'JSON: the policy, below'],
         ['`record`', 'JSON: how it was made, below'],

@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from shepherd_ros.recordings.episodes import RecordedEpisode
 
 Bags = tyro.conf.Positional[Path]
-DIFFERENT = 1  # exit code of check, diff and recover when something was found
+_EXIT_DIFFERENT = 1  # exit code of check, diff and recover when something was found
 
 
 @dataclass
-class Info:
+class _Info:
     """Show what is in a bag: files, topics, episodes and their metrics."""
 
     bag: Bags
@@ -42,7 +42,7 @@ class Info:
 
 
 @dataclass
-class Check:
+class _Check:
     """Tell whether every step of every episode is there; exit code 1 if not."""
 
     bag: Bags
@@ -57,11 +57,11 @@ class Check:
 
         result = check_bag(open_bag(self.bag), self.require)
         print(result.text())
-        return 0 if result.ok else DIFFERENT
+        return 0 if result.ok else _EXIT_DIFFERENT
 
 
 @dataclass
-class Recover:
+class _Recover:
     """Rewrite what can be read of a damaged bag; exit code 1 if something of it is not kept."""
 
     bag: Bags
@@ -77,11 +77,11 @@ class Recover:
 
         result = recover_recording(self.bag, self.output, compression=self.compression)
         print(result.text())
-        return 0 if result.whole else DIFFERENT
+        return 0 if result.whole else _EXIT_DIFFERENT
 
 
 @dataclass
-class Export:
+class _Export:
     """Write episodes, states, scans and commands as tables."""
 
     bag: Bags
@@ -105,7 +105,7 @@ class Export:
 
 
 @dataclass
-class Diff:
+class _Diff:
     """Compare the decoded content of two bags; exit code 1 if they differ."""
 
     left: Bags
@@ -126,7 +126,7 @@ class Diff:
         left, right = open_bag(self.left), open_bag(self.right)
         result = diff_bags(left, right, times=self.times, once=self.once)
         print(result.text())
-        return 0 if result.equal else DIFFERENT
+        return 0 if result.equal else _EXIT_DIFFERENT
 
 
 def one_episode(bag: Path, namespace: str | None, number: int) -> RecordedEpisode:
@@ -155,7 +155,7 @@ def made_folder(option: str, folder: Path) -> None:
 
 
 @dataclass
-class Render:
+class _Render:
     """Draw an episode of a bag: a picture, an animation and a page that replays it."""
 
     bag: Bags
@@ -199,10 +199,10 @@ class Render:
 
 BagVerbs = verb_group(
     'Look at bags, check, recover, export and compare them.',
-    info=Info,
-    check=Check,
-    recover=Recover,
-    export=Export,
-    diff=Diff,
-    render=Render,
+    info=_Info,
+    check=_Check,
+    recover=_Recover,
+    export=_Export,
+    diff=_Diff,
+    render=_Render,
 )

@@ -12,11 +12,11 @@ from shepherd_ros.cli.errors import UserError
 import tyro
 
 CheckpointName = tyro.conf.Positional[str]
-CLOSE = 1e-4  # largest difference of an exported network's outputs
+EXPORT_TOLERANCE = 1e-4  # largest difference of an exported network's outputs
 
 
 @dataclass
-class Info:
+class _Info:
     """Show what a checkpoint was trained on, how, and how good it is; without arguments, list."""
 
     checkpoint: CheckpointName = ''
@@ -53,7 +53,7 @@ class Info:
 
 
 @dataclass
-class Card:
+class _Card:
     """Print the model card of a checkpoint, in Markdown."""
 
     checkpoint: CheckpointName
@@ -77,7 +77,7 @@ class Card:
 
 
 @dataclass
-class RandomWeights:
+class _RandomWeights:
     """Write a checkpoint with random weights, to try the nodes before anything is trained."""
 
     output: Annotated[Path, tyro.conf.arg(aliases=['-o'])]
@@ -101,7 +101,7 @@ class RandomWeights:
 
 
 @dataclass
-class Export:
+class _Export:
     """Write the actor for other programs, as TorchScript, and check that it does the same."""
 
     checkpoint: CheckpointName
@@ -115,9 +115,10 @@ class Export:
         from shepherd_ros.policy.export import export_actor
 
         difference = export_actor(load_policy(self.checkpoint), self.output)
-        if difference > CLOSE:
+        if difference > EXPORT_TOLERANCE:
             raise UserError(
-                f'{self.output} differs by {difference} m/s from the policy: expected {CLOSE}'
+                f'{self.output} differs by {difference} m/s from the policy: '
+                f'expected {EXPORT_TOLERANCE}'
             )
         print(f'wrote {self.output}; largest difference {difference:.1e} m/s')
         return 0
@@ -125,8 +126,8 @@ class Export:
 
 CheckpointVerbs = verb_group(
     'Look at checkpoints, make random ones, export the network.',
-    info=Info,
-    card=Card,
-    random=RandomWeights,
-    export=Export,
+    info=_Info,
+    card=_Card,
+    random=_RandomWeights,
+    export=_Export,
 )

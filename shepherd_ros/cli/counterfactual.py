@@ -12,7 +12,7 @@ from shepherd_ros.cli.controllers import chosen
 from shepherd_ros.cli.errors import UserError
 import tyro
 
-LEAD = 20  # steps of the common past at the beginning of the animation
+STEPS_BEFORE = 20  # steps of the common past at the beginning of the animation
 
 
 @dataclass
@@ -81,7 +81,7 @@ class Counterfactual:
             animate(
                 was,
                 self.out / 'futures.gif',
-                first=max(at - LEAD, 0),
+                first=max(at - STEPS_BEFORE, 0),
                 beside=[would_be],
                 on_frame=lambda done, total: progress.update(task, completed=done, total=total),
             )

@@ -18,7 +18,7 @@ Places = tyro.conf.Positional[tuple[Path, ...]]
 
 
 @dataclass
-class Common:
+class _Common:
     """What both have in common."""
 
     places: Places
@@ -42,7 +42,7 @@ class Common:
 
 
 @dataclass
-class Info(Common):
+class _Info(_Common):
     """Tell what can be learned from bags: examples, what is dropped and why, statistics."""
 
     def run(self) -> int:
@@ -55,7 +55,7 @@ class Info(Common):
 
 
 @dataclass(kw_only=True)
-class Build(Common):
+class _Build(_Common):
     """Write the steps of bags as Parquet, with the folders and columns of LeRobot."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=['-o'])]
@@ -74,6 +74,6 @@ class Build(Common):
 
 DatasetVerbs = verb_group(
     'Look at what can be learned from bags, and export it.',
-    info=Info,
-    build=Build,
+    info=_Info,
+    build=_Build,
 )

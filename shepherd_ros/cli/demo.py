@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from shepherd_ros.experiments.setting import Setting
     from shepherd_ros.nodes.episode_probe import EpisodeProbe
 
-PATIENCE = 60.0  # [s] wall time without any news before giving up
+DEMO_TIMEOUT = 60.0  # [s] wall time without any news before giving up
 
 
 @dataclass(kw_only=True)
@@ -121,9 +121,9 @@ class Demo(OneSetting):
                     return
             if probe.step != news:
                 news, since = probe.step, now
-            elif now - since > PATIENCE:
+            elif now - since > DEMO_TIMEOUT:
                 raise UserError(
-                    f'no news for {PATIENCE:.0f} s at step {news}: the logs are in '
+                    f'no news for {DEMO_TIMEOUT:.0f} s at step {news}: the logs are in '
                     f'{processes.logs}'
                 )
 

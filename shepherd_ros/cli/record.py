@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from shepherd_ros.controllers.base import Controller
     from shepherd_ros.sim.rollout import EnvConfig
 
-TOGETHER = 8  # episodes that a worker runs in one batch
+EPISODES_PER_BATCH = 8  # episodes that a worker runs in one batch
 
 
 @dataclass(kw_only=True)
@@ -52,7 +52,10 @@ class Record(OneSetting):
         from shepherd_ros.recordings.record import episode_folder
 
         seeds = range(self.seed, self.seed + self.episodes)
-        parts = [range(start, min(start + TOGETHER, seeds.stop)) for start in seeds[::TOGETHER]]
+        parts = [
+            range(start, min(start + EPISODES_PER_BATCH, seeds.stop))
+            for start in seeds[::EPISODES_PER_BATCH]
+        ]
         open_parts = [
             part for part in parts if not all(episode_folder(self.out, s).exists() for s in part)
         ]

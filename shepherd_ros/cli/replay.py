@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from shepherd_ros.recordings.grouping import RecordedGroup
     from shepherd_ros.recordings.replay_check import Comparison
 
-DIFFERENT = 1  # exit code if a command differs or is missing
+_EXIT_DIFFERENT = 1  # exit code if a command differs or is missing
 
 
 @dataclass
@@ -68,7 +68,7 @@ class Replay:
             self._ask_node(asked, result)
         print(f'{self.controller} on {self.bag}')
         print(result.text())
-        return 0 if result.ok else DIFFERENT
+        return 0 if result.ok else _EXIT_DIFFERENT
 
     def _episodes(
         self, result: Comparison

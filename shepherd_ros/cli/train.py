@@ -57,12 +57,12 @@ class Recipe:
     run: Config
 
 
-USUAL = {
+DEFAULT_RECIPES = {
     'ppo': Recipe(FROM_SCRATCH, PPORunConfig()),
     'dagger': Recipe(IMITATION, DaggerConfig()),
     'bc': Recipe(IMITATION, BCConfig()),
 }
-QUICK = {
+QUICK_RECIPES = {
     'ppo': Recipe(
         SMALL_RING,
         PPORunConfig(
@@ -77,7 +77,7 @@ QUICK = {
 
 
 @dataclass
-class Common:
+class _Common:
     """What all training has in common."""
 
     out: Path
@@ -115,7 +115,7 @@ def verb(recipe: Recipe, train: Callable[..., Any], bags: bool = False) -> type[
         ('run_', flat[config], field(default_factory=config)),
     ]
     names = {'__doc__': train.__doc__, 'run': run}
-    return make_dataclass(kind.__name__, rows, bases=(Common,), namespace=names, kw_only=True)
+    return make_dataclass(kind.__name__, rows, bases=(_Common,), namespace=names, kw_only=True)
 
 
 def verbs(recipes: Mapping[str, Recipe]) -> dict[str, Callable[..., Any]]:
@@ -135,12 +135,12 @@ def train(words: list[str], doc: str) -> int:
             verbs(recipes), prog='shepherd train', description=doc, args=words
         )
 
-    chosen = parsed(USUAL)
-    recipes = QUICK if chosen.quick else USUAL
+    chosen = parsed(DEFAULT_RECIPES)
+    recipes = QUICK_RECIPES if chosen.quick else DEFAULT_RECIPES
     if chosen.pretrained:  # what is not said about the policy is as in the checkpoint
         policy = load_policy(chosen.pretrained).config
         recipes = {name: replace(recipe, policy=policy) for name, recipe in recipes.items()}
-    if recipes is not USUAL:
+    if recipes is not DEFAULT_RECIPES:
         chosen = parsed(recipes)
     chosen.command = shlex.join(['shepherd', 'train', *words])
     return int(chosen.run())

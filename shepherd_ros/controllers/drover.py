@@ -23,10 +23,10 @@ from shepherd_ros.controllers.base import Controller, CONTROLLERS, Memory
 from shepherd_ros.controllers.formation import (
     bearings_in_order,
     Formation,
+    FULL_TURN,
     middle_of_ring,
     way_apart,
     way_round,
-    WHOLE,
 )
 from shepherd_ros.sim.reward import distance_to_rim
 from shepherd_ros.sim.state import WorldState
@@ -34,9 +34,9 @@ from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, masked_me
 import torch
 from torch import Tensor
 
-EDGE = 2**0.5  # of a disc, over the root mean square distance from its middle
-CROSSING = 0.75  # [goal radii] a flock so near the middle of the goal is turned
-SHUT = 4.0  # [rad] a team without a wider gap stands on a ring
+EDGE_OVER_RMS = 2**0.5  # of a disc, over the root mean square distance from its middle
+TURN_DISTANCE = 0.75  # [goal radii] a flock so near the middle of the goal is turned
+CLOSED_GAP = 4.0  # [rad] a team without a wider gap stands on a ring
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,8 @@ class Ring(NamedTuple):
     least: int  # shepherds who can close it
 
 
-WIDE = Ring(0.45, 2)  # about sheep that rest when nobody is near
-NARROW = Ring(-0.15, 3)  # about sheep that never rest
+WIDE_RING = Ring(0.45, 2)  # about sheep that rest when nobody is near
+NARROW_RING = Ring(-0.15, 3)  # about sheep that never rest
 
 
 def share_inside(seen: WorldState) -> Tensor:
@@ -127,7 +127,7 @@ class DroverController(Controller):
         super().__init__(*args, **options)
         config: DroverConfig = self.config
         self.restless = self.world.flock.restless
-        ring = NARROW if self.restless else WIDE
+        ring = NARROW_RING if self.restless else WIDE_RING
         self.notice = config.notice_range or self.world.flock.notice_range
         self.pace = 1.0 if self.restless else config.ring_speed
         self.reach, self.least = config.ring_reach or ring.reach, ring.least
@@ -138,7 +138,7 @@ class DroverController(Controller):
         behind = bearing(center - goal)  # (..., 1) rad
         away = torch.linalg.vector_norm(center - goal, dim=-1)
         squared = (seen.sheep - center).square().sum(dim=-1)  # (..., N) m2
-        far = EDGE * masked_mean(squared[..., None], seen.sheep_mask).sqrt()
+        far = EDGE_OVER_RMS * masked_mean(squared[..., None], seen.sheep_mask).sqrt()
         few = seen.team_size[..., None] < self.least
         clear = far + self.config.standoff
 
@@ -169,13 +169,13 @@ class DroverController(Controller):
         angle = bearing(seen.shepherds - goal)
         if self.restless:  # in haste
             gap = bearings_in_order(angle, seen.shepherd_mask)[1].amax(dim=-1, keepdim=True)
-            least = torch.where(gap < SHUT, config.reopen_share, config.close_share)
+            least = torch.where(gap < CLOSED_GAP, config.reopen_share, config.close_share)
             arc = (share_inside(seen) < least).to(away.dtype)
         else:
             arc = away / radius - config.open_until
             arc = (arc / (config.open_from - config.open_until)).clamp(0.0, 1.0)
         arc = torch.where(team < self.least, 1.0, arc)
-        part = WHOLE / team
+        part = FULL_TURN / team
         # a ring is where the team is; all turns by a part give the same places
         turn = middle_of_ring(angle, seen.shepherd_mask)[..., None] - behind
         turn = torch.remainder(turn + part / 2, part) - part / 2
@@ -215,7 +215,7 @@ class DroverController(Controller):
         """Return where to touch the rim of a flock, to turn it on its way over the goal."""
         heading = bearing(masked_mean(seen.heading, seen.sheep_mask))[..., None]
         side = torch.where(torch.sin(heading - behind) >= 0, 1.0, -1.0)
-        crossing = (1 - away / (CROSSING * seen.goal_radius[..., None])).clamp(min=0.0)
+        crossing = (1 - away / (TURN_DISTANCE * seen.goal_radius[..., None])).clamp(min=0.0)
         return Formation(
             about=seen.center[..., None, :],
             distance=far + self.notice - self.config.touch_depth,

@@ -11,10 +11,10 @@ from shepherd_ros.sim.vectors import bearing, EPSILON, from_bearing, unit, wrap
 import torch
 from torch import Tensor
 
-WHOLE = 2 * math.pi  # [rad]
+FULL_TURN = 2 * math.pi  # [rad]
 FULL_SPEED = 10.0  # [m] a way so long is gone at the top speed
 NEARLY_ON_CIRCLE = 0.5  # [m] so near a circle, or half a smaller one, the way along it begins
-ASIDE = math.pi / 4  # [rad] from the way straight apart to that past each other
+PASSING_ANGLE = math.pi / 4  # [rad] from the way straight apart to that past each other
 
 
 def bearings_in_order(angle: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
@@ -24,9 +24,11 @@ def bearings_in_order(angle: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
     mask (..., H) says who is there; the others come last, at inf and with a gap of -inf.
     """
     count = mask.sum(dim=-1, keepdim=True)
-    angle = torch.where(mask, torch.remainder(angle, WHOLE), torch.inf).sort(dim=-1).values
+    angle = torch.where(mask, torch.remainder(angle, FULL_TURN), torch.inf).sort(dim=-1).values
     index = torch.arange(angle.shape[-1], device=angle.device)
-    following = torch.where(index == count - 1, angle[..., :1] + WHOLE, angle.roll(-1, dims=-1))
+    following = torch.where(
+        index == count - 1, angle[..., :1] + FULL_TURN, angle.roll(-1, dims=-1)
+    )
     return angle, torch.where(index < count, following - angle, -torch.inf)
 
 
@@ -40,7 +42,7 @@ def middle_of_ring(angle: Tensor, mask: Tensor) -> Tensor:
     angle, gap = bearings_in_order(angle, mask)
     widest = gap.argmax(dim=-1, keepdim=True)
     index = torch.arange(angle.shape[-1], device=angle.device)
-    angle = torch.where(gap > -torch.inf, angle + WHOLE * (index <= widest), 0.0)
+    angle = torch.where(gap > -torch.inf, angle + FULL_TURN * (index <= widest), 0.0)
     return wrap(angle.sum(dim=-1) / mask.sum(dim=-1).clamp(min=1))
 
 
@@ -51,10 +53,12 @@ def midway(angle: Tensor, mask: Tensor) -> Tensor:
     angle (..., H) rad are the bearings of all, mask (..., H) says who is there. Who has but one
     neighbour has it on both sides; who is alone stays.
     """
-    ahead = torch.remainder(angle[..., None, :] - angle[..., :, None], WHOLE)  # from row to column
+    ahead = torch.remainder(
+        angle[..., None, :] - angle[..., :, None], FULL_TURN
+    )  # from row to column
     other = mask[..., None, :] & ~torch.eye(angle.shape[-1], dtype=torch.bool, device=angle.device)
-    gap_ahead = torch.where(other, ahead, WHOLE).amin(dim=-1)
-    gap_behind = torch.where(other, WHOLE - ahead, WHOLE).amin(dim=-1)
+    gap_ahead = torch.where(other, ahead, FULL_TURN).amin(dim=-1)
+    gap_behind = torch.where(other, FULL_TURN - ahead, FULL_TURN).amin(dim=-1)
     return angle + (gap_ahead - gap_behind) / 2
 
 
@@ -126,4 +130,4 @@ def way_apart(seen: WorldState, apart: float) -> Tensor:
     near = (1 - distance / max(apart, EPSILON)).clamp(min=0.0) * seen.shepherd_mask[..., None, :]
     push = 2 * (unit(offset) * near[..., None]).sum(dim=-2)
     left = torch.stack([-push[..., 1], push[..., 0]], dim=-1)
-    return math.cos(ASIDE) * push + math.sin(ASIDE) * left
+    return math.cos(PASSING_ANGLE) * push + math.sin(PASSING_ANGLE) * left

@@ -7,14 +7,14 @@ from typing import Any
 import pyarrow as pa  # type: ignore[import-untyped]
 from shepherd_ros.sim.lidar_layout import ScanLayout
 
-FORMAT = 'shepherd_ros data set 1'
+DATASET_FORMAT = 'shepherd_ros data set 1'
 DATA = 'data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet'
 EPISODES = 'meta/episodes/chunk-000/file-000.parquet'
 INFO, ABOUT, STATS, TASKS = (
     f'meta/{name}' for name in ('info.json', 'shepherd_ros.json', 'stats.json', 'tasks.parquet')
 )
 FILE_SIZE = 100  # [MiB] after which a data file is full
-CHUNK_SIZE = 1000  # files of a folder
+FILES_PER_CHUNK = 1000  # files of a folder
 TASK = 'herd the flock into the goal'
 LIDAR, ACTION = 'observation.lidar', 'action'
 _LONG = pa.int64()

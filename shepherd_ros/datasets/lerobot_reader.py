@@ -17,10 +17,10 @@ from pyarrow import parquet
 from shepherd_ros.datasets.lerobot_format import (
     ABOUT,
     ACTION,
-    CHUNK_SIZE,
     DATA,
+    DATASET_FORMAT,
     EPISODES,
-    FORMAT,
+    FILES_PER_CHUNK,
     INFO,
     LIDAR,
     NUMBERS,
@@ -30,7 +30,7 @@ from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS, ScanLayout, sorted_channels
 from shepherd_ros.sim.limits import MAX_SHEEP, MAX_SHEPHERDS, MAX_STEPS
 
-FIX = 'build it again with `shepherd dataset build`'
+REBUILD = 'build it again with `shepherd dataset build`'
 LARGEST_NOTE = 16 << 20  # [bytes] of a JSON file
 LARGEST_RUNS = 1_000_000
 LARGEST_FILE = 4 << 30  # [bytes] of Parquet
@@ -63,7 +63,7 @@ class Dataset:
     @cached_property
     def files(self) -> np.ndarray:
         """Return the number of the data file of each run, (E,)."""
-        return self.runs['data/chunk_index'] * CHUNK_SIZE + self.runs['data/file_index']
+        return self.runs['data/chunk_index'] * FILES_PER_CHUNK + self.runs['data/file_index']
 
     def bags(self) -> list[tuple[str, slice]]:
         """Return name and runs of each bag that it was built from."""
@@ -87,7 +87,7 @@ class Dataset:
         name = self.names[chosen.start]
         if (np.diff(key) <= 0).any() or shepherd.max() >= row['n_shepherds']:
             what = f'{name}:{row["recorded_episode"]} has a step twice, or too many shepherds'
-            raise BagError(self.folder / EPISODES, what, FIX)
+            raise BagError(self.folder / EPISODES, what, REBUILD)
         return Steps(
             bag=name,
             episode=row['recorded_episode'],
@@ -110,13 +110,13 @@ class Dataset:
     def _read(self, chosen: range) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield scans (n, C, R) m and actions (n, 2) m/s of runs in one file, in row groups."""
         number = self.files[chosen.start]
-        chunk, file = divmod(int(number), CHUNK_SIZE)
+        chunk, file = divmod(int(number), FILES_PER_CHUNK)
         path = self.folder / DATA.format(chunk_index=chunk, file_index=file)
         begin, end = (int(np.searchsorted(self.files, number, side)) for side in SIDES)
         with _open(path) as source:
             if source.metadata.num_row_groups != end - begin:
                 what = f'{source.metadata.num_row_groups} row groups, expected {end - begin}'
-                raise BagError(path, what, FIX)
+                raise BagError(path, what, REBUILD)
             for k in chosen:
                 yield self._run(source, path, k, k - begin)
 
@@ -125,7 +125,7 @@ class Dataset:
         count = int(self.runs['length'][k])
         if source.metadata.row_group(place).num_rows != count:
             what = f'row group {place} has not the {count} rows that {EPISODES} tells of'
-            raise BagError(path, what, FIX)
+            raise BagError(path, what, REBUILD)
         names = [LIDAR, ACTION, 'episode_index', 'frame_index']
         table = source.read_row_group(place, names, use_threads=False)
         lidar = _floats(table[LIDAR], (count, *self.layout.shape), path)
@@ -133,9 +133,9 @@ class Dataset:
         numbers = [_numbers(table[name], path) for name in names[2:]]
         if np.isnan(lidar).any() or not np.isfinite(action).all():
             what = f'row group {place} has NaN, or an action that is not finite'
-            raise BagError(path, what, FIX)
+            raise BagError(path, what, REBUILD)
         if (numbers[0] != k).any() or not np.array_equal(numbers[1], np.arange(count)):
-            raise BagError(path, f'row group {place} is not that of episode {k}', FIX)
+            raise BagError(path, f'row group {place} is not that of episode {k}', REBUILD)
         return lidar, action
 
 
@@ -145,19 +145,19 @@ def open_dataset(folder: Path) -> Dataset:
     path = folder / EPISODES
     with _open(path, ('bag',)) as source:
         if source.metadata.num_rows > LARGEST_RUNS:
-            raise BagError(path, f'it has more than {LARGEST_RUNS} rows', FIX)
+            raise BagError(path, f'it has more than {LARGEST_RUNS} rows', REBUILD)
         table = source.read([*NUMBERS, 'bag'], use_threads=False)
         runs = {name: _numbers(table[name], path) for name in NUMBERS}
         names = table['bag'].combine_chunks()
         if not isinstance(names, pa.DictionaryArray) or names.null_count:
-            raise BagError(path, 'column bag is no text', FIX)
+            raise BagError(path, 'column bag is no text', REBUILD)
         known = [str(name) for name in names.dictionary.to_pylist()]
         bags = [known[k] for k in names.indices.to_pylist()]
     for name, (low, high) in LIMITS.items():
         odd = (runs[name] < low) | (runs[name] > high)
         if odd.any():
             value = runs[name][odd][0]
-            raise BagError(path, f'{name} is {value}, expected {low} to {high}', FIX)
+            raise BagError(path, f'{name} is {value}, expected {low} to {high}', REBUILD)
     count = np.arange(len(bags))
     ends = np.cumsum(runs['length'])
     found = Dataset(folder, about['dt'], about['layout'], about['labels'], runs, bags)
@@ -167,7 +167,7 @@ def open_dataset(folder: Path) -> Dataset:
         and np.array_equal(runs['dataset_to_index'], ends)
         and np.array_equal(runs['dataset_from_index'], ends - runs['length'])
     ):
-        raise BagError(path, 'its episodes are not in order, or some are missing', FIX)
+        raise BagError(path, 'its episodes are not in order, or some are missing', REBUILD)
     return found
 
 
@@ -175,23 +175,23 @@ def _about(folder: Path) -> dict[str, Any]:
     """Return what meta/shepherd_ros.json says; raises BagError."""
     path = folder / ABOUT
     if not path.is_file():
-        raise BagError(folder, f'{ABOUT} is not there, so it is no data set of ours', FIX)
+        raise BagError(folder, f'{ABOUT} is not there, so it is no data set of ours', REBUILD)
     try:
         with path.open('rb') as file:
             about = json.loads(file.read(LARGEST_NOTE).decode())
     except (OSError, ValueError, RecursionError) as error:
-        raise BagError(path, f'it cannot be read ({error!r:.200})', FIX) from error
-    if not isinstance(about, dict) or about.get('format') != FORMAT:
-        raise BagError(path, f'it does not begin with format {FORMAT!r}', FIX)
+        raise BagError(path, f'it cannot be read ({error!r:.200})', REBUILD) from error
+    if not isinstance(about, dict) or about.get('format') != DATASET_FORMAT:
+        raise BagError(path, f'it does not begin with format {DATASET_FORMAT!r}', REBUILD)
     dt, rays, labels = (about.get(name) for name in ('dt', 'n_rays', 'labels'))
     if not (isinstance(dt, float) and 0 <= dt <= 10 and isinstance(labels, str)):
-        raise BagError(path, f'dt is {dt!r:.40} s and labels {labels!r:.40}', FIX)
+        raise BagError(path, f'dt is {dt!r:.40} s and labels {labels!r:.40}', REBUILD)
     if not (isinstance(rays, int) and 0 <= rays <= LARGEST_RAYS):
-        raise BagError(path, f'n_rays is {rays!r:.40}, expected 0 to {LARGEST_RAYS}', FIX)
+        raise BagError(path, f'n_rays is {rays!r:.40}, expected 0 to {LARGEST_RAYS}', REBUILD)
     channels = about.get('channels', list(PAPER_CHANNELS))
     words = isinstance(channels, list) and all(isinstance(name, str) for name in channels)
     if not words or channels != list(sorted_channels(channels)):
-        raise BagError(path, f'channels are {channels!r:.80}, expected names in order', FIX)
+        raise BagError(path, f'channels are {channels!r:.80}, expected names in order', REBUILD)
     return about | {'layout': ScanLayout(tuple(channels), rays)}
 
 
@@ -199,10 +199,10 @@ def _about(folder: Path) -> dict[str, Any]:
 def _open(path: Path, texts: tuple[str, ...] = ()) -> Iterator[Any]:
     """Lend a Parquet file; whatever Arrow says of it becomes a BagError."""
     if not path.is_file():
-        raise BagError(path, 'it is not there', FIX)
+        raise BagError(path, 'it is not there', REBUILD)
     try:
         if path.stat().st_size > LARGEST_FILE:
-            raise BagError(path, f'it has more than {LARGEST_FILE} bytes', FIX)
+            raise BagError(path, f'it has more than {LARGEST_FILE} bytes', REBUILD)
         with parquet.ParquetFile(
             path,
             read_dictionary=list(texts),
@@ -215,7 +215,7 @@ def _open(path: Path, texts: tuple[str, ...] = ()) -> Iterator[Any]:
     except BagError:
         raise
     except (pa.ArrowException, LookupError, OSError, TypeError, ValueError) as error:
-        raise BagError(path, f'it cannot be read ({str(error)[:200]!r})', FIX) from error
+        raise BagError(path, f'it cannot be read ({str(error)[:200]!r})', REBUILD) from error
 
 
 def _floats(column: Any, shape: tuple[int, ...], path: Path) -> np.ndarray:
@@ -224,21 +224,21 @@ def _floats(column: Any, shape: tuple[int, ...], path: Path) -> np.ndarray:
     for size in shape[1:]:
         nested = pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type)
         if not nested or values.null_count:
-            raise BagError(path, f'a column of type {values.type} for {shape}', FIX)
+            raise BagError(path, f'a column of type {values.type} for {shape}', REBUILD)
         lengths = np.diff(np.asarray(values.offsets)) if pa.types.is_list(values.type) else None
         if lengths is not None and (lengths != size).any():
-            raise BagError(path, f'lists that are not of {size} numbers', FIX)
+            raise BagError(path, f'lists that are not of {size} numbers', REBUILD)
         values = values.flatten()
     if values.type != pa.float32() or values.null_count or len(values) != np.prod(shape):
         what = f'{len(values)} numbers of type {values.type}, expected floats of shape {shape}'
-        raise BagError(path, what, FIX)
+        raise BagError(path, what, REBUILD)
     return values.to_numpy(zero_copy_only=False).reshape(shape)
 
 
 def _numbers(column: Any, path: Path) -> np.ndarray:
     """Return a column of whole numbers (n,); raises BagError."""
     if column.type != pa.int64() or column.null_count:
-        raise BagError(path, f'a column of type {column.type} or with holes', FIX)
+        raise BagError(path, f'a column of type {column.type} or with holes', REBUILD)
     return column.to_numpy()
 
 

@@ -22,12 +22,12 @@ from shepherd_ros import __version__
 from shepherd_ros.datasets.lerobot_format import (
     ABOUT,
     ACTION,
-    CHUNK_SIZE,
     DATA,
+    DATASET_FORMAT,
     EPISODES,
     features,
     FILE_SIZE,
-    FORMAT,
+    FILES_PER_CHUNK,
     INDEXED_BY_TASK,
     INFO,
     LIDAR,
@@ -111,7 +111,7 @@ class DatasetWriter:
         try:
             for chosen in runs(steps):
                 self._add_run(steps, chosen)
-            if len(self._kept) >= CHUNK_SIZE:
+            if len(self._kept) >= FILES_PER_CHUNK:
                 self._flush()
         except OSError as error:
             raise self._unwritable(error) from error
@@ -132,7 +132,7 @@ class DatasetWriter:
         size = len(chosen) * (math.prod(self.layout.shape) + 2) * 4
         if self._data is not None and self._in_file + size > self.file_size:
             self._end_file()
-        chunk, file = divmod(self.files, CHUNK_SIZE)
+        chunk, file = divmod(self.files, FILES_PER_CHUNK)
         if self._data is None:
             path = self.part / DATA.format(chunk_index=chunk, file_index=file)
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -190,7 +190,7 @@ class DatasetWriter:
             'total_episodes': self.runs,
             'total_frames': self.rows,
             'total_tasks': 1,
-            'chunks_size': CHUNK_SIZE,
+            'chunks_size': FILES_PER_CHUNK,
             'data_files_size_in_mb': FILE_SIZE,
             'video_files_size_in_mb': 200,
             'fps': round(rate) if abs(rate - round(rate)) < 1e-9 else rate,
@@ -200,7 +200,8 @@ class DatasetWriter:
             'features': features(self.layout),
         }
         about = {
-            'format': FORMAT, 'version': __version__, 'dt': self.dt, 'n_rays': self.layout.n_rays,
+            'format': DATASET_FORMAT, 'version': __version__, 'dt': self.dt,
+            'n_rays': self.layout.n_rays,
             'channels': list(self.layout.channels), 'labels': self.labels, 'bags': self.bags,
             'report': dict(report),
         }  # fmt: skip

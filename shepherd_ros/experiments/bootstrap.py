@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 DRAWS = 2000
-LEVEL = 0.95
+CONFIDENCE = 0.95
 
 
 def drawn_again(episodes: int, draws: int = DRAWS, seed: int = 0) -> NDArray[np.int64]:
@@ -26,7 +26,7 @@ def drawn_means(values: Array, draws: int = DRAWS) -> Array:
 
 def percentiles(drawn: Array) -> tuple[Array, Array]:
     """Return the ends of the 95 % interval of a quantity (..., draws), (...) each."""
-    tail = 100 * (1 - LEVEL) / 2
+    tail = 100 * (1 - CONFIDENCE) / 2
     low, high = np.percentile(drawn, [tail, 100 - tail], axis=-1)
     return low, high
 

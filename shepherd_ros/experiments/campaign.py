@@ -13,7 +13,7 @@ from threading import Thread
 import numpy as np
 from shepherd_ros import __version__
 from shepherd_ros.config import ConfigError
-from shepherd_ros.experiments.cells import Cell, run_into, TOGETHER
+from shepherd_ros.experiments.cells import Cell, EPISODES_AT_ONCE, run_into
 from shepherd_ros.experiments.methods import checkpoint_hash, full_name
 from shepherd_ros.experiments.results import cell_key, Results
 from shepherd_ros.experiments.setting import Setting, settled
@@ -31,8 +31,8 @@ class Task:
 
 def seed_batches(seed: int, episodes: int) -> Iterator[tuple[int, int]]:
     """Yield first seed and number of the batches of a cell; always cut at the same places."""
-    for first in range(seed, seed + episodes, TOGETHER):
-        yield first, min(TOGETHER, seed + episodes - first)
+    for first in range(seed, seed + episodes, EPISODES_AT_ONCE):
+        yield first, min(EPISODES_AT_ONCE, seed + episodes - first)
 
 
 def plan(

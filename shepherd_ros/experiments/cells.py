@@ -14,7 +14,7 @@ from shepherd_ros.experiments.results import cell_key, table_of, value_names, wr
 from shepherd_ros.experiments.runner import run_episodes
 from shepherd_ros.experiments.setting import env_config, Setting, settled
 
-TOGETHER = 20  # episodes of a cell that run in one batch: what a kill costs at most
+EPISODES_AT_ONCE = 20  # episodes of a cell that run in one batch: what a kill costs at most
 
 
 @dataclass(frozen=True)

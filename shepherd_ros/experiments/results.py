@@ -16,11 +16,11 @@ import pyarrow as pa  # type: ignore[import-untyped]
 from pyarrow import parquet
 from shepherd_ros.config import ConfigError, mapping
 from shepherd_ros.controllers import CONTROLLERS
-from shepherd_ros.experiments.setting import FIELDS, Setting
+from shepherd_ros.experiments.setting import Setting, SETTING_FIELDS
 from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.metrics import METRICS
 
-FORMAT = {b'shepherd_ros': b'episodes 1'}
+RESULTS_FORMAT = {b'shepherd_ros': b'episodes 1'}
 KINDS = {int: pa.int64(), float: pa.float64(), bool: pa.bool_(), str: pa.string()}
 
 
@@ -35,7 +35,11 @@ def schema() -> pa.Schema:
         [
             ('key', pa.string()),  # cell_key() of what decides the episodes but their seeds
             ('controller', pa.string()),
-            *((f.name, KINDS[type(f.default)]) for f in fields(Setting) if f.name in FIELDS),
+            *(
+                (f.name, KINDS[type(f.default)])
+                for f in fields(Setting)
+                if f.name in SETTING_FIELDS
+            ),
             ('seed', pa.int64()),
             *((name, pa.float64()) for name in value_names()),
             ('config', pa.string()),  # JSON: environment and controller, whole
@@ -43,7 +47,7 @@ def schema() -> pa.Schema:
             ('version', pa.string()),
             ('code', pa.string()),  # commit, if the package ran from a checkout
         ],
-        metadata=FORMAT,
+        metadata=RESULTS_FORMAT,
     )
 
 
@@ -117,7 +121,7 @@ def read_table(path: Path) -> pa.Table:
     except (pa.ArrowException, OSError) as error:
         reason = str(error).splitlines()[0]
         raise ConfigError(f'{path} is no whole Parquet file ({reason})') from error
-    if (table.schema.metadata or {}).get(b'shepherd_ros') != FORMAT[b'shepherd_ros']:
+    if (table.schema.metadata or {}).get(b'shepherd_ros') != RESULTS_FORMAT[b'shepherd_ros']:
         raise ConfigError(
             f'{path} is no table of episodes: expected what shepherd evaluate writes'
         )

@@ -53,7 +53,7 @@ class Setting(Config):
 
 
 # any_dt is a leave and no property of the episodes; set is open
-FIELDS = tuple(f.name for f in fields(Setting) if f.name not in ('any_dt', 'set'))
+SETTING_FIELDS = tuple(f.name for f in fields(Setting) if f.name not in ('any_dt', 'set'))
 _TEXTS = {
     'sheep': '{} sheep',
     'shepherds': 'team of {}',

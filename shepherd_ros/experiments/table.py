@@ -8,7 +8,7 @@ from io import StringIO
 from shepherd_ros.experiments.bootstrap import mean_interval
 from shepherd_ros.experiments.methods import label
 from shepherd_ros.experiments.samples import means, Samples
-from shepherd_ros.experiments.setting import FIELDS
+from shepherd_ros.experiments.setting import SETTING_FIELDS
 from shepherd_ros.sim.metrics import METRICS, shown
 
 
@@ -24,7 +24,7 @@ def interval_text(mean: float, low: float, high: float) -> str:
 
 def varying(samples: Samples) -> list[str]:
     """Return the fields that differ between settings of the experiment."""
-    names = [n for n in FIELDS if len({getattr(s, n) for s in samples.settings}) > 1]
+    names = [n for n in SETTING_FIELDS if len({getattr(s, n) for s in samples.settings}) > 1]
     return names or ['sheep']
 
 
@@ -85,13 +85,13 @@ def csv_rows(samples: Samples) -> str:
     for controller, setting, values in means(samples, tuple(METRICS)):
         for name, episodes in values.items():
             ends = [f'{float(x):.6g}' for x in mean_interval(episodes)]
-            fields = [getattr(setting, field) for field in FIELDS if field != 'steps']
+            fields = [getattr(setting, field) for field in SETTING_FIELDS if field != 'steps']
             row = [samples.experiment.name, controller, *fields, samples.steps, len(episodes)]
             write([*row, name, *ends])
     return text.getvalue()
 
 
 CSV_HEADER = ','.join(
-    ['experiment', 'controller', *(f for f in FIELDS if f != 'steps'), 'steps', 'episodes',
+    ['experiment', 'controller', *(f for f in SETTING_FIELDS if f != 'steps'), 'steps', 'episodes',
      'metric', 'mean', 'low', 'high']
 ) + '\n'  # fmt: skip

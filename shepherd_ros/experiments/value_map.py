@@ -15,9 +15,9 @@ import torch
 from torch import Tensor
 
 SIDE = 25.0  # [m] half the side of the plane, as in the paper
-PLACES = 41  # along each side
-SHEEP = 10
-HIGH = 0.8  # a value is high if it lies so far up between the lowest and the highest
+GRID_POINTS = 41  # along each side
+N_SHEEP = 10
+HIGH_VALUE = 0.8  # a value is high if it lies so far up between the lowest and the highest
 BEHIND = 0.5  # cosine of 60 degrees: the best place is behind the flock if it is within them
 
 
@@ -38,7 +38,7 @@ class ValueMap:
         Both are seen from the flock; 1 is straight behind it, -1 between flock and goal.
         """
         row, column = np.unravel_index(self.values.argmax(), self.values.shape)
-        grid = np.linspace(-SIDE, SIDE, PLACES)
+        grid = np.linspace(-SIDE, SIDE, GRID_POINTS)
         center = self.sheep.mean(axis=0)
         way = np.array([grid[column], grid[row]]) - center
         lengths = np.linalg.norm(way) * np.linalg.norm(center)
@@ -48,7 +48,7 @@ class ValueMap:
     def high_share(self) -> float:
         """Return the share of the plane with high values."""
         low, high = self.values.min(), self.values.max()
-        return float((self.values > low + HIGH * (high - low)).mean())
+        return float((self.values > low + HIGH_VALUE * (high - low)).mean())
 
 
 def value_map(policy: Policy, seed: int = 0) -> ValueMap:
@@ -57,13 +57,13 @@ def value_map(policy: Policy, seed: int = 0) -> ValueMap:
 
     All frames show the same moment, as nobody has moved yet.
     """
-    world = WorldConfig(n_sheep=SHEEP, n_shepherds=3, dt=policy.config.dt)
+    world = WorldConfig(n_sheep=N_SHEEP, n_shepherds=3, dt=policy.config.dt)
     start = spawn(world, torch.tensor([seed]))
-    grid = torch.linspace(-SIDE, SIDE, PLACES)
+    grid = torch.linspace(-SIDE, SIDE, GRID_POINTS)
     places = torch.stack(torch.meshgrid(grid, grid, indexing='xy'), dim=-1).reshape(-1, 2)
     values = torch.cat([_values(policy, start, part) for part in places.split(256)])
     return ValueMap(
-        values.double().reshape(PLACES, PLACES).numpy(),
+        values.double().reshape(GRID_POINTS, GRID_POINTS).numpy(),
         start.sheep[0].double().numpy(),
         start.shepherds[0, :2].double().numpy(),
         float(start.goal_radius),

@@ -12,7 +12,7 @@ from torch import nn, Tensor
 from torch.optim.swa_utils import AveragedModel
 
 Weights = list[Tensor] | tuple[Tensor, ...]
-RECENT = 10  # at first, the mean is over one in so many of the steps so far
+EMA_WARMUP_STEPS = 10  # at first, the mean is over one in so many of the steps so far
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def running_mean(keep: float) -> Callable[[Weights, Weights, Tensor | int], None
     """Return how a mean that keeps a share of itself takes in new weights, faster at first."""
 
     def take_in(kept: Weights, new: Weights, count: Tensor | int) -> None:
-        share = max(1 - keep, RECENT / (float(count) + RECENT))
+        share = max(1 - keep, EMA_WARMUP_STEPS / (float(count) + EMA_WARMUP_STEPS))
         for old, recent in zip(kept, new, strict=True):
             old.lerp_(recent, share)
 

@@ -8,7 +8,7 @@ from datetime import timedelta
 import os
 from typing import Any
 
-LONG = timedelta(days=30)  # that one rank may wait for another
+GROUP_TIMEOUT = timedelta(days=30)  # that one rank may wait for another
 
 
 def rank() -> int:
@@ -76,7 +76,7 @@ def _distributed() -> Any:
 
     if not distributed.is_initialized():
         kinds = 'cpu:gloo,cuda:nccl' if cuda.is_available() else 'gloo'
-        distributed.init_process_group(kinds, timeout=LONG)
+        distributed.init_process_group(kinds, timeout=GROUP_TIMEOUT)
         if kinds == 'gloo':  # that of NCCL waits for others, who may have failed
             atexit.register(_leave_group, distributed)
     return distributed

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 CPU = torch.device('cpu')
-SEEDS_APART = 1_000_003  # from an episode of a group to its next
+EPISODE_SEED_STRIDE = 1_000_003  # from an episode of a group to its next
 
 Reward = Callable[[Moment], Tensor]  # of each shepherd after a step, (B, H)
 
@@ -50,7 +50,7 @@ class WorldGroup:
 
     def begin(self, steps: int) -> None:
         """Start an episode of so many steps, in a world that is drawn from the task."""
-        seed = self.seed + SEEDS_APART * self.episode + 1000 * self.index
+        seed = self.seed + EPISODE_SEED_STRIDE * self.episode + 1000 * self.index
         config = replace(draw_environment(self.task, seed), lidar=self.lidar)
         seeds = seed + torch.arange(self.n_worlds, device=self.device)
         self.moment = start(spawn(config.world, seeds), config, self.count)

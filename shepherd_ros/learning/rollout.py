@@ -15,7 +15,7 @@ from shepherd_ros.sim.observation import turned
 import torch
 from torch import Tensor
 
-STRANGERS = 15_485_863  # seeds from one process to the next
+RANK_SEED_STRIDE = 15_485_863  # seeds from one process to the next
 
 
 @dataclass
@@ -69,7 +69,7 @@ class Rollout:
         self.policy, self.decisions, self.reward = policy, decisions, reward
         self.device, repeat = policy.device, policy.config.action_repeat
         # each process draws and starts for itself
-        self.generator = torch.Generator(self.device).manual_seed(seed + STRANGERS * rank())
+        self.generator = torch.Generator(self.device).manual_seed(seed + RANK_SEED_STRIDE * rank())
         self.steps = task.episode_steps // repeat * repeat
         self.store = Store(policy, groups, worlds, task.shepherds_max, decisions, dtype)
         lidar, mine = policy.config.lidar, range(rank() * groups, (rank() + 1) * groups)

@@ -24,7 +24,7 @@ from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
 import torch
 
-STAGES_APART = 7919  # of seeds, from a stage to the next
+STAGE_SEED_STRIDE = 7919  # of seeds, from a stage to the next
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Training:
             config.groups,
             config.worlds,
             config.decisions,
-            config.seed + stage * STAGES_APART,
+            config.seed + stage * STAGE_SEED_STRIDE,
             self.dtype,
         )
 

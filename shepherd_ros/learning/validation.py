@@ -14,7 +14,7 @@ from shepherd_ros.sim.metrics import shown
 from shepherd_ros.sim.rollout import EnvConfig
 import torch
 
-FIRST_SEED = 900_000_000  # far from those of training and of tables
+VALIDATION_SEED = 900_000_000  # far from those of training and of tables
 
 
 def validation_sizes(task: TaskConfig) -> list[int]:
@@ -46,7 +46,7 @@ def validate(
         )
         controller = LearnedController(LearnedConfig(), world, policy, dtype)
         config, device = EnvConfig(world=world, reward=task.reward), str(policy.device)
-        results.append(run_episodes(config, controller, FIRST_SEED, count, device=device))
+        results.append(run_episodes(config, controller, VALIDATION_SEED, count, device=device))
     means = {
         name: float(torch.cat([result[name] for result in results]).mean())
         for name in ('return', *(metric.name for metric in shown('eval')))

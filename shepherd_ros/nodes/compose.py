@@ -13,7 +13,7 @@ from shepherd_ros.nodes.heuristic_node import HeuristicNode
 from shepherd_ros.nodes.lidar_node import LidarNode
 from shepherd_ros.nodes.metrics_node import MetricsNode
 from shepherd_ros.nodes.policy_node import PolicyNode
-from shepherd_ros.ros.intra_process import Bus
+from shepherd_ros.ros.intra_process import IntraProcessTransport
 from shepherd_ros.ros.node import ShepherdNode
 
 NODES: dict[str, Callable[..., ShepherdNode]] = {
@@ -34,10 +34,12 @@ def compose(processes: Sequence[Process], **kwargs: Any) -> list[ShepherdNode]:
     Keyword arguments are those of rclpy's Node, such as a context. The executor is that of the
     first node.
     """
-    bus = Bus()
+    transport = IntraProcessTransport()
     return [
         NODES[process.executable](
-            cli_args=process.arguments(), bus=bus, **({'use_global_arguments': False} | kwargs)
+            cli_args=process.arguments(),
+            transport=transport,
+            **({'use_global_arguments': False} | kwargs),
         )
         for process in processes
     ]

@@ -19,9 +19,9 @@ from shepherd_ros.wire.decode import Vector
 from shepherd_ros.wire.encode import encode_clock, encode_goal, encode_text
 from shepherd_ros.wire.topics import CLOCK, COMMANDS, EPISODE, GOAL
 
-RESEND = 0.25  # [s] after which an unanswered state is shown again, as flock_sim does
-LATCHED = 5.0  # [s] that readers get to take what is latched, before states follow
-PATIENCE = 60.0  # [s] that a controller may take for an answer, its start included
+RESEND_PERIOD = 0.25  # [s] after which an unanswered state is shown again, as flock_sim does
+LATCHED_ACK_TIMEOUT = 5.0  # [s] that readers get to take what is latched, before states follow
+ANSWER_TIMEOUT = 60.0  # [s] that a controller may take for an answer, its start included
 
 
 class ControllerProbe(ShepherdNode):
@@ -67,15 +67,15 @@ class ControllerProbe(ShepherdNode):
         self.asked_ns = frame.stamp_ns
         self.answers = {}
         begun = self.wall()
-        shown = begun - RESEND
-        while not self.answers.keys() >= set(shepherds) and self.wall() - begun < PATIENCE:
-            if self.wall() - shown >= RESEND:
+        shown = begun - RESEND_PERIOD
+        while not self.answers.keys() >= set(shepherds) and self.wall() - begun < ANSWER_TIMEOUT:
+            if self.wall() - shown >= RESEND_PERIOD:
                 shown = self.wall()
                 self.say(CLOCK, encode_clock(frame.stamp_ns))
                 for topic, content in raw.items():
                     self.say(topic, content)
                 look()
-            self.hearing.spin_once(timeout_sec=RESEND)
+            self.hearing.spin_once(timeout_sec=RESEND_PERIOD)
         return self.answers
 
     def say(self, topic: str, content: bytes, latched: bool = False) -> None:
@@ -86,7 +86,7 @@ class ControllerProbe(ShepherdNode):
             self.outputs[topic] = self.advertise(ours.topic.name, ours.shepherd)
         self.outputs[topic].publish(content)
         if latched:
-            self.outputs[topic].wait_for_all_acked(Duration(seconds=LATCHED))
+            self.outputs[topic].wait_for_all_acked(Duration(seconds=LATCHED_ACK_TIMEOUT))
 
     def take(self, shepherd: int, command: Vector) -> None:
         """Keep a command if it answers the last state."""

@@ -16,10 +16,10 @@ from shepherd_ros.wire.decode import decode_stamp, Vector
 from shepherd_ros.wire.episode import Episode
 from shepherd_ros.wire.topics import COMMANDS, scan_topic
 
-THROTTLE = 5.0  # [s] between two warnings of one kind
+REFUSAL_WARNING_PERIOD = 5.0  # [s] between two warnings of one kind
 
 
-def seconds(ns: int) -> str:
+def seconds_text(ns: int) -> str:
     """Return nanoseconds as seconds with all digits: stamps may differ in the last one."""
     return f'{ns // 10**9}.{ns % 10**9:09d}'
 
@@ -140,8 +140,8 @@ class FlockCommands:
             return False
         self._refuse(
             'wrong_stamp',
-            f'shepherd_{shepherd}: command stamped {seconds(ns)} s, expected '
-            f'{seconds(self.now_ns)} s: ignored; copy the stamp of flock/poses, or start '
+            f'shepherd_{shepherd}: command stamped {seconds_text(ns)} s, expected '
+            f'{seconds_text(self.now_ns)} s: ignored; copy the stamp of flock/poses, or start '
             'flock_sim with stamped:=false and publish Twist',
         )
         return False
@@ -149,7 +149,7 @@ class FlockCommands:
     def _refuse(self, reason: str, text: str) -> None:
         self.counts[reason] += 1
         now = self.node.wall()
-        if now - self.said.get(reason, -THROTTLE) >= THROTTLE:
+        if now - self.said.get(reason, -REFUSAL_WARNING_PERIOD) >= REFUSAL_WARNING_PERIOD:
             self.said[reason] = now
             self.node.get_logger().warning(text)
 

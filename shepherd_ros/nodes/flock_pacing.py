@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-SETTLED = 0.2  # [s] wall time without a new reader after which the first step may be made
+DISCOVERY_SETTLE_TIME = (
+    0.2  # [s] wall time without a new reader after which the first step may be made
+)
 
 
 class Pacing:
@@ -36,5 +38,5 @@ class Pacing:
         came = readers != self.readers
         if came:
             self.readers, self.reader_came = readers, now
-        self.settled = not came and now - self.reader_came > SETTLED
+        self.settled = not came and now - self.reader_came > DISCOVERY_SETTLE_TIME
         return came

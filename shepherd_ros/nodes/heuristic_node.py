@@ -24,7 +24,7 @@ from shepherd_ros.wire.episode import Episode
 from shepherd_ros.wire.topics import COMMANDS
 import torch
 
-ALL = -1
+ALL_SHEPHERDS = -1
 GENERIC = Controller.executable
 
 
@@ -46,7 +46,7 @@ class HeuristicNode(ShepherdNode):
         changes = PRESETS[preset].controllers.get(controller, {})
         self.options = declare_config(self, self.kind.config_type(**changes))
         self.shepherd_ids: list[int] = self.option(
-            'shepherd_ids', [ALL], 'shepherds to command; [-1]: all of the episode'
+            'shepherd_ids', [ALL_SHEPHERDS], 'shepherds to command; [-1]: all of the episode'
         )
         self.noise_std: float = self.option(
             'noise_std', 0.0, 'noise on all perceived positions [m]', low=0.0
@@ -67,7 +67,7 @@ class HeuristicNode(ShepherdNode):
         self.controller = self.kind(self.options, world)
         self.last = None
         wanted = self.shepherd_ids
-        team = range(episode.n_shepherds) if ALL in wanted else wanted
+        team = range(episode.n_shepherds) if ALL_SHEPHERDS in wanted else wanted
         strangers = [h for h in team if not 0 <= h < episode.n_shepherds]
         if strangers:
             self.get_logger().error(

@@ -21,7 +21,7 @@ from shepherd_ros.wire.episode import Episode
 from shepherd_ros.wire.topics import scan_topic, SHEPHERD
 import torch
 
-MARKER_PERIOD = 0.05  # [s] wall time between two pictures
+RAY_MARKER_PERIOD = 0.05  # [s] wall time between two pictures
 
 
 class LidarNode(ShepherdNode):
@@ -71,7 +71,7 @@ class LidarNode(ShepherdNode):
             return
         seen = perceive(state, self.noise_std)
         ranges = scan(seen, self.config, self.chosen).numpy()
-        draw = self.wall() - self.drawn > MARKER_PERIOD
+        draw = self.wall() - self.drawn > RAY_MARKER_PERIOD
         for row, h in zip(ranges, self.present, strict=True):
             frame = self.scan_frame.replace('{h}', str(h))
             for output, channel in zip(self.outputs[h], row, strict=True):

@@ -29,8 +29,8 @@ from shepherd_ros.wire.encode import encode_clock
 from shepherd_ros.wire.topics import CLOCK
 from std_srvs.srv import SetBool
 
-SECOND = 1_000_000_000  # [ns]
-ACK_TIME = 4.0  # [s] for readers to miss what did not arrive: DDS asks them every 3 s
+NS_PER_SECOND = 1_000_000_000  # [ns]
+PLAYER_ACK_TIMEOUT = 4.0  # [s] for readers to miss what did not arrive: DDS asks them every 3 s
 SHORTEST_ROUND = 0.1  # [s] of --loop: a bag may have one message
 LATCHED_LEAD = 0.2  # [s] that readers get to know the topics before the first message
 
@@ -145,8 +145,8 @@ class Player(ShepherdNode):
     def messages(self) -> Iterator[BagMessage]:
         """Yield what is to be played: before the start only what is latched by then."""
         first = self.bag.start_ns
-        start = first + round(self.options.start_offset * SECOND)
-        end = first + round(self.options.until * SECOND) if self.options.until else None
+        start = first + round(self.options.start_offset * NS_PER_SECOND)
+        end = first + round(self.options.until * NS_PER_SECOND) if self.options.until else None
         if self.options.start_offset:
             kept = {name: deque[BagMessage](maxlen=depth) for name, depth in self.latched.items()}
             for message in self.bag.messages(kept, end_ns=start):
@@ -156,12 +156,12 @@ class Player(ShepherdNode):
 
     def play_once(self) -> None:
         """Publish every message when it is due."""
-        first = self.bag.start_ns + round(self.options.start_offset * SECOND)
+        first = self.bag.start_ns + round(self.options.start_offset * NS_PER_SECOND)
         self.at_ns = self.next_ns = first
         self.begun = self.wall()
         for message in self.messages():
             self.next_ns = max(message.log_ns, first)
-            ahead = (self.next_ns - first) / SECOND / self.options.rate
+            ahead = (self.next_ns - first) / NS_PER_SECOND / self.options.rate
             asked = False  # for this message, by ~/step
             while not self.stopped.is_set():
                 if not (asked or self.running.is_set()):
@@ -186,8 +186,8 @@ class Player(ShepherdNode):
     def bag_time(self) -> int:
         """Return the time of the bag [ns], which goes on between two messages."""
         passed = ((self.paused or self.wall()) - self.begun) * self.options.rate
-        first = self.bag.start_ns + self.options.start_offset * SECOND
-        return min(max(round(first + passed * SECOND), self.at_ns), self.next_ns)
+        first = self.bag.start_ns + self.options.start_offset * NS_PER_SECOND
+        return min(max(round(first + passed * NS_PER_SECOND), self.at_ns), self.next_ns)
 
     def await_go(self) -> bool:
         """Wait until the pause is over; true: only for one of the messages of ~/step."""
@@ -239,7 +239,7 @@ class Player(ShepherdNode):
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return how far the bag has come."""
         state = 'playing' if self.running.is_set() else 'paused'
-        elapsed = (self.at_ns - self.bag.start_ns) / SECOND
+        elapsed = (self.at_ns - self.bag.start_ns) / NS_PER_SECOND
         return [
             self.status(
                 'player', OK, state, bag=self.bag.path, messages=self.played, seconds=elapsed
@@ -251,7 +251,7 @@ class Player(ShepherdNode):
         self.stopped.set()
         self.woken.set()
         self.thread.join(2.0)
-        limit = self.wall() + ACK_TIME
+        limit = self.wall() + PLAYER_ACK_TIMEOUT
         for output in self.outputs.values():
             output.wait_for_all_acked(Duration(seconds=max(limit - self.wall(), 0.0)))
         if self.failure:

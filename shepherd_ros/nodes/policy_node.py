@@ -18,7 +18,7 @@ from shepherd_ros.ros.intra_process import Output
 from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.ros.parameters import declare_config
 from shepherd_ros.ros.runtime import run
-from shepherd_ros.ros.scan_subscriber import ScanListener, THROTTLE
+from shepherd_ros.ros.scan_subscriber import SCAN_WARNING_PERIOD, ScanListener
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_command, encode_twist
 from shepherd_ros.wire.episode import Episode
@@ -27,8 +27,8 @@ import torch
 from torch import Tensor
 
 ALL = -1  # in shepherd_ids
-TIMED = 1000  # last answers whose latency is kept
-PATIENCE = 1.0  # [s] without a whole scan until it is asked which channels there are
+LATENCY_WINDOW = 1000  # last answers whose latency is kept
+CHANNEL_CHECK_DELAY = 1.0  # [s] without a whole scan until it is asked which channels there are
 
 
 class PolicyNode(ShepherdNode):
@@ -69,7 +69,7 @@ class PolicyNode(ShepherdNode):
         self.heard = self.wall()
         self.stale = False
         self.answers = 0
-        self.latency: deque[float] = deque(maxlen=TIMED)  # [s]
+        self.latency: deque[float] = deque(maxlen=LATENCY_WINDOW)  # [s]
         self.outputs: dict[int, Output] = {}
         self.scans = ScanListener(self, self.policy.config.lidar, self.on_scans)
         self._warm_up()
@@ -156,13 +156,13 @@ class PolicyNode(ShepherdNode):
 
     def _watch(self) -> None:
         """Tell of channels that do not exist; in real time, stop the shepherds without scans."""
-        silent = self.wall() - self.heard > PATIENCE
+        silent = self.wall() - self.heard > CHANNEL_CHECK_DELAY
         self.absent = self.scans.unpublished() if silent else []
         if self.absent:
             self.get_logger().error(
                 f'no lidar publishes {", ".join(self.absent)}, which the checkpoint needs: start '
                 'it with the option others, or choose another checkpoint',
-                throttle_duration_sec=THROTTLE,
+                throttle_duration_sec=SCAN_WARNING_PERIOD,
             )
         episode, last = self.episode, self.last
         if episode is None or episode.mode == 'lockstep' or last is None or self.stale:

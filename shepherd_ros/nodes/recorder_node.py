@@ -27,9 +27,11 @@ from std_srvs.srv import Trigger
 TAKE_PERIOD = 0.02  # [s] between two looks for messages
 GRAPH_PERIOD = 0.1  # [s] between two looks for new topics
 FLUSH_PERIOD = 1.0  # [s] of messages that a crash may cost at most
-ACK_TIME = 4.0  # [s] for others to hear of a failure: DDS asks for what is missed every 3 s
+RECORDER_ACK_TIMEOUT = (
+    4.0  # [s] for others to hear of a failure: DDS asks for what is missed every 3 s
+)
 EPISODE_WAIT = 0.5  # [s] for the last messages of an episode when the next one has begun
-LOSSY = 1  # exit code of a bag that is not whole
+EXIT_LOSSY = 1  # exit code of a bag that is not whole
 
 
 class Recorder(ShepherdNode):
@@ -210,7 +212,7 @@ class Recorder(ShepherdNode):
         except BagError as error:
             self.failure = str(error)
         if self.failure:
-            self._diagnostics.wait_for_all_acked(Duration(seconds=ACK_TIME))
+            self._diagnostics.wait_for_all_acked(Duration(seconds=RECORDER_ACK_TIMEOUT))
         lost = self.losses.report()
         print(f'{self.written} messages of {len(self.announced)} topics in {self.folder}')
         for line in lost:
@@ -221,7 +223,7 @@ class Recorder(ShepherdNode):
             print(f'failed: {self.failure}')
         whole = not lost and not self.failure
         print('the bag is whole' if whole else 'the bag is NOT whole')
-        return 0 if whole else LOSSY
+        return 0 if whole else EXIT_LOSSY
 
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return whether everything heard is in the bag, and how fast it comes."""

@@ -12,8 +12,8 @@ from shepherd_ros.experiments.bootstrap import Array, drawn_means, percentiles
 from shepherd_ros.experiments.samples import Samples
 
 AGREES, DISAGREES, UNDECIDED = 'agrees', 'disagrees', 'undecided'
-ABOUT = 0.2  # a ratio is `about` a value if it is within this share of it
-NEAR = 0.02  # a fraction is near a value if it is within this
+ABOUT_TOLERANCE = 0.2  # a ratio is `about` a value if it is within this share of it
+SHARE_TOLERANCE = 0.02  # a fraction is near a value if it is within this
 
 # what is counted until completion instead of over the whole episode
 TO_COMPLETION = {

@@ -14,11 +14,11 @@ from shepherd_ros.paper.claims import AGREES, DISAGREES, UNDECIDED
 
 PAPER_SAMPLES = 100e6
 EPISODE = 1000  # steps of the paper's episodes, by which a mean reward becomes a return
-END = 0.2  # share of the samples in which a curve has to be flat
+END_SHARE = 0.2  # share of the samples in which a curve has to be flat
 FLAT_RISE = 0.05  # it is flat if it rises there by less than this share of its whole rise
-FEWEST = 10  # points of a curve that can be judged
-ENOUGH = 10e6  # samples after which a curve that was ended early may count as flat
-WINDOW = 100e3  # samples over which a training's rewards are averaged for the eye
+MIN_POINTS = 10  # points of a curve that can be judged
+MIN_SAMPLES = 10e6  # samples after which a curve that was ended early may count as flat
+SMOOTHING_WINDOW = 100e3  # samples over which a training's rewards are averaged for the eye
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def find_curves(paths: Sequence[Path]) -> list[Curve]:
     return [curve for curve in map(read_curve, found) if len(curve.samples)]
 
 
-def smoothed(curve: Curve, window: float = WINDOW) -> Array:
+def smoothed(curve: Curve, window: float = SMOOTHING_WINDOW) -> Array:
     """Return the mean of the returns at most half a window of samples away, at each point."""
     total = np.concatenate([[0.0], curve.returns.cumsum()])
     low = np.searchsorted(curve.samples, curve.samples - window / 2, side='left')
@@ -79,13 +79,13 @@ def smoothed(curve: Curve, window: float = WINDOW) -> Array:
 def rise_and_end(curve: Curve) -> tuple[float, float]:
     """Return how much the return rises in all, and the share of it in the last fifth."""
     last = curve.samples[-1]
-    late = curve.samples >= (1 - END) * last
+    late = curve.samples >= (1 - END_SHARE) * last
     tenth = max(len(curve.samples) // 10, 1)
     whole = float(curve.returns[-tenth:].mean() - curve.returns[:tenth].mean())
     if late.sum() < 2 or whole == 0:
         return whole, float('nan')
     slope = float(np.polyfit(curve.samples[late], curve.returns[late], 1)[0])
-    return whole, slope * END * float(last) / whole
+    return whole, slope * END_SHARE * float(last) / whole
 
 
 def curve_verdict(curve: Curve) -> tuple[str, str]:
@@ -95,13 +95,13 @@ def curve_verdict(curve: Curve) -> tuple[str, str]:
     One that was ended before that and still rises is undecided, and so is a flat one of less than
     ENOUGH samples.
     """
-    if len(curve.samples) < FEWEST:
+    if len(curve.samples) < MIN_POINTS:
         return UNDECIDED, f'only {len(curve.samples)} points'
     whole, end = rise_and_end(curve)
     text = f'rises by {whole:.3g}, {100 * end:.0f} % of it in the last fifth'
     if whole <= 0:
         return DISAGREES, 'does not rise'
     flat, last = abs(end) < FLAT_RISE, curve.samples[-1]
-    if (flat and last < ENOUGH) or (not flat and last < PAPER_SAMPLES):
+    if (flat and last < MIN_SAMPLES) or (not flat and last < PAPER_SAMPLES):
         return UNDECIDED, f'{text}; ended at {last / 1e6:.3g} million samples'
     return (AGREES if flat else DISAGREES), text

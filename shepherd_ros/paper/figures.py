@@ -29,7 +29,7 @@ AXES = {
     'case': '',
 }
 # colour, line and marker of policies and others without a style of their own: apart in grey, too
-FREE = [
+SPARE_STYLES = [
     (('#000000', '#555555')[k % 2], ('-', '--', ':')[k % 3], marker)
     for k, marker in enumerate('ovP*<h>pX')
 ]
@@ -38,7 +38,7 @@ FREE = [
 def style_of(name: str, names: Sequence[str]) -> dict[str, Any]:
     """Return how a method is drawn; names are those of the picture, in its order."""
     free = [other for other in names if kind_of(other).style is None]
-    color, line, marker = kind_of(name).style or FREE[free.index(name) % len(FREE)]
+    color, line, marker = kind_of(name).style or SPARE_STYLES[free.index(name) % len(SPARE_STYLES)]
     return {
         'color': color,
         'linestyle': line,
@@ -172,7 +172,7 @@ def draw_curves(curves: Sequence[Curve]) -> Figure:
     figure, panels = new_figure(1, 1, 6.0, 3.2)
     axes = panels[0, 0]
     policies = dict.fromkeys(curve.policy for curve in curves)
-    looks = dict(zip(policies, FREE * len(policies), strict=False))
+    looks = dict(zip(policies, SPARE_STYLES * len(policies), strict=False))
     named: set[str] = set()
     for curve in curves:
         color, line, marker = looks[curve.policy]

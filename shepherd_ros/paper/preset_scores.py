@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from shepherd_ros.paper.preset_search import findings, Known, worth
+from shepherd_ros.paper.preset_search import findings, KnownTables, worth
 from shepherd_ros.paper.report import bounds, finding_text
 from shepherd_ros.sim.presets import PRESETS
 
@@ -20,7 +20,7 @@ def preset_scores(
 
     tell hears which preset is run, as each takes minutes.
     """
-    known: Known = {}
+    known: KnownTables = {}
     found = {}
     for k, preset in enumerate([PRESETS[name] for name in names], start=1):
         tell(

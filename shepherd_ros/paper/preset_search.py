@@ -61,11 +61,11 @@ POINTS = {
     'fig7': ('repulsion', (0.5, 1.0, 3.0, 4.0)),
     'fig8': ('sheep', (10, 50, 100)),
 }
-NEARLY = 0.4  # what a number next to its bounds adds
+NEAR_MISS_WORTH = 0.4  # what a number next to its bounds adds
 SHARE_NEW = 0.1  # of candidates that are drawn anew
 
 Candidate = dict[str, Any]
-Known = dict[str, pa.Table]  # rows of cells by what decides them
+KnownTables = dict[str, pa.Table]  # rows of cells by what decides them
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Tried:
     def merit(self) -> float:
         """Return the score, and less than half for a number that disagrees the nearer it is."""
         wrong = (gap for key, gap in self.gaps.items() if self.verdicts[key] == DISAGREES)
-        return self.score + sum(NEARLY / (1 + gap) for gap in wrong)
+        return self.score + sum(NEAR_MISS_WORTH / (1 + gap) for gap in wrong)
 
 
 def gap_of(value: float, low: float, high: float) -> float:
@@ -118,7 +118,7 @@ def short(name: str) -> Experiment:
 
 
 def findings(
-    preset: Preset, episodes: int, steps: int = 1000, known: Known | None = None
+    preset: Preset, episodes: int, steps: int = 1000, known: KnownTables | None = None
 ) -> dict[str, ClauseFinding]:
     """
     Run the baselines in a preset; return what comes of the numbers about them alone, by text.
@@ -158,7 +158,7 @@ def worth(verdicts: Iterable[str]) -> float:
 
 
 def attempt(
-    candidate: Candidate, episodes: int, steps: int = 1000, known: Known | None = None
+    candidate: Candidate, episodes: int, steps: int = 1000, known: KnownTables | None = None
 ) -> Tried:
     """Judge a candidate's choices; known as in findings."""
     found = findings(preset_of(candidate), episodes, steps, known)
@@ -212,7 +212,7 @@ def search(path: Path, seed: int, count: int, episodes: int, steps: int = 1000) 
     """
     old = read_tried(path)
     known: list[Tried] = []
-    cells: Known = {}
+    cells: KnownTables = {}
     source = proposals(seed, known)
     path.parent.mkdir(parents=True, exist_ok=True)
     while len(known) < count:

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 from shepherd_ros.experiments.bootstrap import Array
-from shepherd_ros.paper.claims import ABOUT, Clause, Quantity, Sweep, Where
+from shepherd_ros.paper.claims import ABOUT_TOLERANCE, Clause, Quantity, Sweep, Where
 
 TIME = 'completion_time'
 FLAT = 0.1  # a curve is `constant` if it stays within this share of its first value
@@ -15,7 +15,7 @@ FLAT = 0.1  # a curve is `constant` if it stays within this share of its first v
 
 def about(text: str, quantity: Quantity, value: float) -> Clause:
     """Return: a number is within ABOUT of a value."""
-    return Clause(text, quantity, (1 - ABOUT) * value, (1 + ABOUT) * value)
+    return Clause(text, quantity, (1 - ABOUT_TOLERANCE) * value, (1 + ABOUT_TOLERANCE) * value)
 
 
 def ratio(method: str, other: str, metric: str) -> Quantity:

@@ -12,20 +12,20 @@ from shepherd_ros.experiments.results import Results
 from shepherd_ros.experiments.samples import Samples
 from shepherd_ros.experiments.table import interval_text
 from shepherd_ros.paper.claims import (
-    ABOUT,
+    ABOUT_TOLERANCE,
     AGREES,
     Clause,
     ClauseFinding,
     combined_verdict,
     DISAGREES,
-    NEAR,
+    SHARE_TOLERANCE,
     UNDECIDED,
 )
 from shepherd_ros.paper.verdicts import Verdict
 
 VERDICTS = (AGREES, DISAGREES, UNDECIDED)
-WHOLE = 1000  # steps of the paper's episodes
-ENOUGH = 50  # episodes below which a page is only a trial
+PAPER_STEPS = 1000  # steps of the paper's episodes
+MIN_EPISODES = 50  # episodes below which a page is only a trial
 TITLES = {
     'fig3': 'Figure 3: training',
     'fig4': 'Figure 4: size of the flock',
@@ -38,9 +38,9 @@ TITLES = {
 }
 RULE = f"""\
 **Rule of a verdict.** Each statement is one number or several, each with bounds; they are data
-in `shepherd_ros/paper/statements.py`. `About x` means within {100 * ABOUT:.0f} % of x,
-for shares of the flock within {NEAR}. The interval is the 95 % bootstrap interval of the
-number, of 2000 draws of episodes; all controllers have the same starts, so they are drawn
+in `shepherd_ros/paper/statements.py`. `About x` means within {100 * ABOUT_TOLERANCE:.0f} % of x,
+for shares of the flock within {SHARE_TOLERANCE}. The interval is the 95 % bootstrap interval of
+the number, of 2000 draws of episodes; all controllers have the same starts, so they are drawn
 together. A number *agrees* if the whole interval lies within the bounds, *disagrees* if none
 of it does, and is *undecided* otherwise. A statement agrees if all its numbers do, and
 disagrees if one of them does.
@@ -113,8 +113,8 @@ def reference(reasons: str) -> list[str]:
 
 def trial(samples: Mapping[str, Samples]) -> list[str]:
     """Return a warning if episodes are short or few, else nothing."""
-    short = [s for s in samples.values() if s.steps < WHOLE]
-    few = [s for n, s in samples.items() if n in TITLES and len(s.seeds) < ENOUGH]
+    short = [s for s in samples.values() if s.steps < PAPER_STEPS]
+    few = [s for n, s in samples.items() if n in TITLES and len(s.seeds) < MIN_EPISODES]
     if not short and not few:
         return []
     steps = min(s.steps for s in samples.values())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from shepherd_ros.paper.claims import ABOUT, Claim, Clause, NEAR
+from shepherd_ros.paper.claims import ABOUT_TOLERANCE, Claim, Clause, SHARE_TOLERANCE
 from shepherd_ros.paper.quantities import (
     about,
     above,
@@ -28,8 +28,8 @@ from shepherd_ros.paper.quantities import (
 TIME, PATH = 'completion_time', 'shepherd_path_length'
 SPREAD, FLOCK, SHARE = 'flock_spread', 'flock_path_length', 'fraction_reached'
 RL, S, P = 'RL', 'strombom', 'pierson'
-ALL = (RL, S, P)
-HIGH = 0.9  # a `high` share of the flock
+METHODS = (RL, S, P)
+HIGH_SHARE = 0.9  # a `high` share of the flock
 
 # by figure, by statement: what holds where it does
 STATEMENTS: dict[str, dict[str, tuple[Clause, ...]]] = {
@@ -70,12 +70,12 @@ STATEMENTS: dict[str, dict[str, tuple[Clause, ...]]] = {
         'All methods get faster with more shepherds, with little gain after 3 to 4': (
             Clause(
                 'time with 6 over that with 1, the slowest to gain',
-                largest([change(m, TIME, 1, 6) for m in ALL]),
+                largest([change(m, TIME, 1, 6) for m in METHODS]),
                 high=1.0,
             ),
             Clause(
                 'gain from 4 to 6 over the time with 1, largest',
-                largest([gain(m, 4, 6, 1) for m in ALL]),
+                largest([gain(m, 4, 6, 1) for m in METHODS]),
                 high=FLAT,
             ),
         ),
@@ -94,24 +94,34 @@ STATEMENTS: dict[str, dict[str, tuple[Clause, ...]]] = {
             Clause(
                 'largest less smallest spread of RL over its mean',
                 quotient(extent(RL, SPREAD), average(RL, SPREAD)),
-                high=ABOUT,
+                high=ABOUT_TOLERANCE,
             ),
         ),
     },
     'fractions': {
         'Pierson guides 100 % of the flock to the goal': (
-            Clause('mean share, Pierson', average(P, SHARE), low=1 - NEAR),
+            Clause('mean share, Pierson', average(P, SHARE), low=1 - SHARE_TOLERANCE),
         ),
         'Strömbom guides 95.8 % of the flock to the goal': (
-            Clause('mean share, Strömbom', average(S, SHARE), 0.958 - NEAR, 0.958 + NEAR),
+            Clause(
+                'mean share, Strömbom',
+                average(S, SHARE),
+                0.958 - SHARE_TOLERANCE,
+                0.958 + SHARE_TOLERANCE,
+            ),
         ),
         'RL guides 97.8 % of the flock to the goal': (
-            Clause('mean share, RL', average(RL, SHARE), 0.978 - NEAR, 0.978 + NEAR),
+            Clause(
+                'mean share, RL',
+                average(RL, SHARE),
+                0.978 - SHARE_TOLERANCE,
+                0.978 + SHARE_TOLERANCE,
+            ),
         ),
         'The shares hardly change with flock and team': (
             Clause(
                 'largest less smallest share, worst method',
-                largest([extent(m, SHARE) for m in ALL]),
+                largest([extent(m, SHARE) for m in METHODS]),
                 high=0.05,
             ),
         ),
@@ -145,16 +155,18 @@ STATEMENTS: dict[str, dict[str, tuple[Clause, ...]]] = {
             Clause('shepherd path at 2 m over that at 0', change(S, PATH, 0.0, 2.0), high=1.0),
         ),
         'All methods succeed at all noises': (
-            Clause('smallest share of the flock', lowest(SHARE, ALL), low=HIGH),
+            Clause('smallest share of the flock', lowest(SHARE, METHODS), low=HIGH_SHARE),
         ),
     },
     'fig7': {
         'Pierson and RL bring a high share home up to rho_a = 4': (
-            Clause('smallest share, Pierson', lowest(SHARE, (P,)), low=HIGH),
-            Clause('smallest share, RL', lowest(SHARE, (RL,)), low=HIGH),
+            Clause('smallest share, Pierson', lowest(SHARE, (P,)), low=HIGH_SHARE),
+            Clause('smallest share, RL', lowest(SHARE, (RL,)), low=HIGH_SHARE),
         ),
         'Strömbom brings a high share home up to 3 and 40 % at 4': (
-            Clause('smallest share up to 3', lowest(SHARE, (S,), lambda x: x < 3.01), low=HIGH),
+            Clause(
+                'smallest share up to 3', lowest(SHARE, (S,), lambda x: x < 3.01), low=HIGH_SHARE
+            ),
             about('share at 4', at(S, SHARE, 4.0), 0.4),
         ),
         'Shepherd paths get shorter with rho_a, slightly for Pierson and RL, much for Strömbom': (
@@ -176,7 +188,7 @@ STATEMENTS: dict[str, dict[str, tuple[Clause, ...]]] = {
     },
     'fig8': {
         'Pierson brings a very high share of the Reynolds flock home': (
-            Clause('smallest share, Pierson', lowest(SHARE, (P,)), low=HIGH),
+            Clause('smallest share, Pierson', lowest(SHARE, (P,)), low=HIGH_SHARE),
         ),
         'Strömbom brings about 10 % of it home at all sizes': (
             Clause('smallest share, Strömbom', lowest(SHARE, (S,)), low=0.0, high=0.2),
@@ -184,7 +196,9 @@ STATEMENTS: dict[str, dict[str, tuple[Clause, ...]]] = {
         ),
         'RL brings a high share home above 30 sheep, a lower one below': (
             Clause(
-                'smallest share above 30 sheep', lowest(SHARE, (RL,), lambda x: x > 30), low=HIGH
+                'smallest share above 30 sheep',
+                lowest(SHARE, (RL,), lambda x: x > 30),
+                low=HIGH_SHARE,
             ),
             Clause(
                 'share below 30 sheep less that above',

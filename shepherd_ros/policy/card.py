@@ -8,9 +8,11 @@ from typing import Any
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.metrics import shown
 
-MADE = {'seed': 'seed', 'wall_time_s': 'wall time [s]', 'machine': 'machine', 'code': 'commit',
-        'version': 'version', 'torch': 'torch', 'note': 'note'}  # fmt: skip
-LONGEST = 8000  # characters of one thing that a file says
+PROVENANCE = {
+    'seed': 'seed', 'wall_time_s': 'wall time [s]', 'machine': 'machine', 'code': 'commit',
+    'version': 'version', 'torch': 'torch', 'note': 'note',
+}  # fmt: skip
+MAX_TEXT_LENGTH = 8000  # characters of one thing that a file says
 
 
 def card(name: str, policy: Policy, record: Mapping[str, Any]) -> str:
@@ -23,7 +25,9 @@ def card(name: str, policy: Policy, record: Mapping[str, Any]) -> str:
     commands = printable(record.get('command', 'the checkpoint does not say')).split(' && ')
     lines += ['```bash', *commands, '```', '']
     lines += [
-        f'- {title}: {printable(record[key])}' for key, title in MADE.items() if key in record
+        f'- {title}: {printable(record[key])}'
+        for key, title in PROVENANCE.items()
+        if key in record
     ]
     progress = record.get('progress')
     if isinstance(progress, Mapping) and isinstance(progress.get('samples'), int):
@@ -51,7 +55,7 @@ def card(name: str, policy: Policy, record: Mapping[str, Any]) -> str:
 
 def printable(value: object) -> str:
     """Return what a file says as text that neither a terminal nor Markdown takes for more."""
-    text = str(value)[:LONGEST]
+    text = str(value)[:MAX_TEXT_LENGTH]
     return (text if text.isprintable() else ascii(text)).replace('`', "'").replace('|', '/')
 
 

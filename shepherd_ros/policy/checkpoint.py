@@ -15,8 +15,8 @@ from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.resources import share_file
 import torch
 
-FORMAT = 'shepherd_ros policy 1'
-LARGEST = 1 << 30  # [bytes] of a file
+CHECKPOINT_FORMAT = 'shepherd_ros policy 1'
+MAX_CHECKPOINT_BYTES = 1 << 30  # [bytes] of a file
 SUFFIX = '.safetensors'
 
 
@@ -27,7 +27,7 @@ def save_policy(path: Path, policy: Policy, record: Mapping[str, Any]) -> None:
     The file is written beside and moved into place, so that a reader never sees half of it.
     """
     metadata = {
-        'format': FORMAT,
+        'format': CHECKPOINT_FORMAT,
         'version': __version__,
         'config': json.dumps(policy.config.to_dict()),
         'record': json.dumps(record),
@@ -66,8 +66,10 @@ def shipped_checkpoints() -> list[str]:
 
 def read_checkpoint_metadata(path: Path) -> tuple[PolicyConfig, dict[str, Any], str]:
     """Return configuration, record and package version of a checkpoint, without its weights."""
-    if path.stat().st_size > LARGEST:
-        raise ConfigError(f'{path} has more than {LARGEST} bytes: not a checkpoint of ours')
+    if path.stat().st_size > MAX_CHECKPOINT_BYTES:
+        raise ConfigError(
+            f'{path} has more than {MAX_CHECKPOINT_BYTES} bytes: not a checkpoint of ours'
+        )
     try:
         with safe_open(path, framework='pt') as file:
             metadata = file.metadata() or {}
@@ -75,10 +77,10 @@ def read_checkpoint_metadata(path: Path) -> tuple[PolicyConfig, dict[str, Any], 
         raise ConfigError(
             f'{path} is no whole safetensors file ({error!s:.200}): copy or train it again'
         ) from error
-    if metadata.get('format') != FORMAT:
+    if metadata.get('format') != CHECKPOINT_FORMAT:
         raise ConfigError(
-            f'{path} has format {metadata.get("format")!r:.60}: expected {FORMAT!r}, as '
-            'shepherd train writes'
+            f'{path} has format {metadata.get("format")!r:.60}: '
+            f'expected {CHECKPOINT_FORMAT!r}, as shepherd train writes'
         )
     try:
         config, record = (json.loads(metadata[key]) for key in ('config', 'record'))

@@ -17,8 +17,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-WINDOW = 5
-DEAD = WINDOW  # the winner where no value is above zero: nobody gets the gradient
+POOL_SIZE = 5
+NO_WINNER = POOL_SIZE  # the winner where no value is above zero: nobody gets the gradient
 INTEGER = {torch.bfloat16: torch.int16, torch.float32: torch.int32}
 
 
@@ -32,13 +32,13 @@ def _pool(x, out, winner):
     for r in range(out.shape[0]):
         for p in range(out.shape[1]):
             for c in range(out.shape[2]):
-                best, who = x[r, p * WINDOW, c], 0
-                for j in range(1, WINDOW):
-                    value = x[r, p * WINDOW + j, c]
+                best, who = x[r, p * POOL_SIZE, c], 0
+                for j in range(1, POOL_SIZE):
+                    value = x[r, p * POOL_SIZE + j, c]
                     if value > best:
                         best, who = value, j
                 out[r, p, c] = max(best, 0)
-                winner[r, p, c] = who if best > 0 else DEAD
+                winner[r, p, c] = who if best > 0 else NO_WINNER
 
 
 @compiled
@@ -46,11 +46,11 @@ def _spread(gradient, winner, out):
     """Give the bits of gradient (R, P, C) to the winners in out (R, W, C), zero to the others."""
     for r in range(out.shape[0]):
         for p in range(gradient.shape[1]):
-            for j in range(WINDOW):
+            for j in range(POOL_SIZE):
                 for c in range(gradient.shape[2]):
                     mine = winner[r, p, c] == j
-                    out[r, p * WINDOW + j, c] = gradient[r, p, c] if mine else 0
-        for w in range(gradient.shape[1] * WINDOW, out.shape[1]):
+                    out[r, p * POOL_SIZE + j, c] = gradient[r, p, c] if mine else 0
+        for w in range(gradient.shape[1] * POOL_SIZE, out.shape[1]):
             for c in range(gradient.shape[2]):
                 out[r, w, c] = 0
 
@@ -68,7 +68,7 @@ def _compilable(x: Tensor) -> bool:
 def pool(x: Tensor) -> tuple[Tensor, Tensor]:
     """Return the pooled (B, W // 5, C) of a contiguous x (B, W, C) and who won."""
     batch, width, channels = x.shape
-    out = x.new_empty(batch, width // WINDOW, channels)
+    out = x.new_empty(batch, width // POOL_SIZE, channels)
     winner = torch.empty(out.shape, dtype=torch.uint8, device='cpu')
     _pool(_bits(x), _bits(out), winner.numpy())
     return out, winner
@@ -85,7 +85,7 @@ def unpool(gradient: Tensor, winner: Tensor, width: int) -> Tensor:
 def plain_stage(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     """Return max over five neighbours of relu(conv(x)); (B, C, L) -> (B, F, (L - K + 1) // 5)."""
     x = functional.conv1d(x, weight.to(x.dtype), bias.to(x.dtype))
-    return functional.max_pool1d(functional.relu(x), WINDOW)
+    return functional.max_pool1d(functional.relu(x), POOL_SIZE)
 
 
 def first_stage(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
@@ -115,8 +115,10 @@ def _window_weight(weight: Tensor, bias: Tensor) -> Tensor:
     the filter begins.
     """
     taps = weight.transpose(1, 2)  # (F, K, C)
-    shifted = [functional.pad(taps, (0, 0, j, WINDOW - 1 - j)).flatten(1) for j in range(WINDOW)]
-    return torch.cat([torch.cat(shifted), bias.repeat(WINDOW)[:, None]], dim=1)
+    shifted = [
+        functional.pad(taps, (0, 0, j, POOL_SIZE - 1 - j)).flatten(1) for j in range(POOL_SIZE)
+    ]
+    return torch.cat([torch.cat(shifted), bias.repeat(POOL_SIZE)[:, None]], dim=1)
 
 
 class _FirstStage(torch.autograd.Function):
@@ -126,12 +128,12 @@ class _FirstStage(torch.autograd.Function):
     def forward(ctx: Any, x: Tensor, weight: Tensor) -> Tensor:
         batch, length, channels = x.shape
         width = weight.shape[1] - 1
-        count = length - width // channels + WINDOW  # outputs before pooling
-        windows = x.new_ones(batch, count // WINDOW, width + 1)
-        strides = (length * channels, WINDOW * channels, 1)
+        count = length - width // channels + POOL_SIZE  # outputs before pooling
+        windows = x.new_ones(batch, count // POOL_SIZE, width + 1)
+        strides = (length * channels, POOL_SIZE * channels, 1)
         windows[..., :-1] = x.contiguous().as_strided((*windows.shape[:2], width), strides)
         windows = windows.flatten(0, 1)
-        out = (windows @ weight.T).view(batch, -1, weight.shape[0] // WINDOW)
+        out = (windows @ weight.T).view(batch, -1, weight.shape[0] // POOL_SIZE)
         pooled, winner = pool(out)
         ctx.save_for_backward(windows, winner)
         return pooled
@@ -139,7 +141,7 @@ class _FirstStage(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor]:
         windows, winner = ctx.saved_tensors
-        wide = unpool(gradients[0], winner, winner.shape[1] * WINDOW)
+        wide = unpool(gradients[0], winner, winner.shape[1] * POOL_SIZE)
         return None, (windows.T @ wide.view(len(windows), -1)).T
 
 

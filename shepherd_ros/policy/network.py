@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import math
 
 from shepherd_ros.config import Config, ConfigError, option
-from shepherd_ros.policy.fast_conv import first_stage, plain_stage, second_stage, WINDOW
+from shepherd_ros.policy.fast_conv import first_stage, plain_stage, POOL_SIZE, second_stage
 import torch
 from torch import nn, Tensor
 from torch.nn import functional
@@ -58,7 +58,7 @@ class Body(nn.Module):
         channels, length = shape
         self.circular = config.padding == 'circular'
         for _ in range(2):
-            length = (length if self.circular else length - KERNEL + 1) // WINDOW
+            length = (length if self.circular else length - KERNEL + 1) // POOL_SIZE
         if length < 1:
             raise ConfigError(f'an input of {shape[1]} values in a row: expected 79 or more')
         self.conv1 = nn.Conv1d(channels, config.filters_1, KERNEL)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import json
 
 from shepherd_ros.config import unknown_name
-from shepherd_ros.recordings.findings import CheckResult, Finding, MOST
+from shepherd_ros.recordings.findings import CheckResult, Finding, MAX_FINDINGS
 from shepherd_ros.recordings.grouping import (
     namespaces,
     RecordedGroup,
@@ -21,10 +21,10 @@ from shepherd_ros.rosbag2.reader import Bag
 from shepherd_ros.sim.lidar_layout import sorted_channels
 from shepherd_ros.wire.contract import (
     contract_hash,
+    FIRST_CONTRACT_HASH,
     known,
     known_text,
     topic_hashes,
-    WHOLE,
 )
 from shepherd_ros.wire.topics import COMMANDS, SHEEP_POSES, SHEPHERD, SHEPHERD_POSES
 
@@ -74,7 +74,7 @@ def _contract(bag: Bag) -> Iterator[Finding]:
     """Yield the topics of a bag that had another meaning when it was recorded."""
     text, theirs = bag.custom_data.get(TOPICS_KEY), bag.custom_data.get(CONTRACT_KEY)
     if text is None:  # of before topics had hashes of their own
-        if theirs not in (None, WHOLE, contract_hash()):
+        if theirs not in (None, FIRST_CONTRACT_HASH, contract_hash()):
             mine = f'{contract_hash()!r:.9}'
             yield Finding('contract', f'{CONTRACT_KEY} is {theirs!r:.20}, ours {mine}')
         return
@@ -183,7 +183,7 @@ def _check_group(
             for topic in expected.missing(state, info.n_shepherds, step < last):
                 result.add(Finding('gap', 'missing', *place, topic))
         result.add(*_counts(group, state, place))
-        if len(result.findings) == MOST:
+        if len(result.findings) == MAX_FINDINGS:
             return
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-MOST = 1000  # findings that are kept
+MAX_FINDINGS = 1000  # findings that are kept
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class CheckResult:
 
     def add(self, *findings: Finding) -> None:
         """Keep findings, as long as there are not too many."""
-        self.findings += findings[: MOST - len(self.findings)]
+        self.findings += findings[: MAX_FINDINGS - len(self.findings)]
 
     def text(self, most: int = 10) -> str:
         """Return the result in lines for a terminal."""

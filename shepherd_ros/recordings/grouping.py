@@ -31,8 +31,8 @@ from shepherd_ros.wire.topics import (
 
 SCAN = scan_topic('')  # and the name of a channel
 STATES = (SHEEP_POSES, SHEPHERD_POSES)
-ALL = (*STATES, SCAN, COMMANDS, GOAL)
-SETTLED = 2  # an episode ends for good when the next one has a state with this step
+EPISODE_PARTS = (*STATES, SCAN, COMMANDS, GOAL)
+CLOSING_STEP = 2  # an episode ends for good when the next one has a state with this step
 
 
 @dataclass
@@ -111,7 +111,7 @@ class RecordedGroups:
         self,
         bag: Bag,
         namespace: str = '',
-        parts: Collection[str] = ALL,
+        parts: Collection[str] = EPISODE_PARTS,
         keep: bool = False,
         labels: str = '',
     ) -> None:
@@ -180,7 +180,7 @@ class _Sorter:
             self.open.append(RecordedGroup(info, self.channels))
             self.again = None
         last = self.open[-1] if self.open else None
-        keep = 1 if last is not None and last.last_step >= SETTLED else 2
+        keep = 1 if last is not None and last.last_step >= CLOSING_STEP else 2
         while len(self.open) > keep:
             yield self.open.pop(0)
 

@@ -17,11 +17,15 @@ from torch import Tensor
 from visualization_msgs.msg import Marker, MarkerArray
 
 # Okabe and Ito's palette, which colour-blind people can tell apart
-COLORS = {'sheep': (0.35, 0.35, 0.35), 'shepherds': (0.0, 0.45, 0.7), 'goal': (0.9, 0.6, 0.0)}
+MARKER_COLORS = {
+    'sheep': (0.35, 0.35, 0.35),
+    'shepherds': (0.0, 0.45, 0.7),
+    'goal': (0.9, 0.6, 0.0),
+}
 
 
 def _marker(ns: int, frame_id: str, name: str, kind: int, size: float, color: str) -> Marker:
-    red, green, blue = COLORS.get(color) or _rgb(channel_of(color).hit)
+    red, green, blue = MARKER_COLORS.get(color) or _rgb(channel_of(color).hit)
     marker = Marker(ns=name, id=0, type=kind, action=Marker.ADD)
     marker.header.stamp, marker.header.frame_id = stamp(ns), frame_id
     marker.pose.orientation.w = 1.0

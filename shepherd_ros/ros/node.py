@@ -16,7 +16,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from shepherd_ros import __version__
-from shepherd_ros.ros.intra_process import Bus, LocalPublisher, Output
+from shepherd_ros.ros.intra_process import IntraProcessPublisher, IntraProcessTransport, Output
 from shepherd_ros.ros.parameters import declare
 from shepherd_ros.wire.decode import CdrError, DECODERS
 from shepherd_ros.wire.topics import contract, row_of, WORLD_FRAME
@@ -47,10 +47,12 @@ class ShepherdNode(Node):
 
     backlog: ClassVar[int] = 0  # messages that wait for it at least, if that is more than usual
 
-    def __init__(self, name: str, *, bus: Bus | None = None, **kwargs: Any) -> None:
-        """Create the node; nodes of a process may share a bus. The rest is for rclpy's Node."""
+    def __init__(
+        self, name: str, *, transport: IntraProcessTransport | None = None, **kwargs: Any
+    ) -> None:
+        """Create the node; nodes of a process may share a transport. kwargs are rclpy's."""
         super().__init__(name, **kwargs)
-        self.bus = bus
+        self.transport = transport
         self.finished = False  # a node sets this to end its process
         self.unreadable: Counter[str] = Counter()  # messages that could not be decoded, by topic
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -71,7 +73,11 @@ class ShepherdNode(Node):
         row = row_of(topic)
         name = topic.format(h=shepherd)
         publisher = self.create_publisher(message_type(kind or row.type), name, quality(topic))
-        return publisher if self.bus is None else LocalPublisher(self, publisher, self.bus)
+        return (
+            publisher
+            if self.transport is None
+            else IntraProcessPublisher(self, publisher, self.transport)
+        )
 
     def listen(
         self,
@@ -108,20 +114,20 @@ class ShepherdNode(Node):
         subscription = self.create_subscription(
             message_type(kind), name, receive, profile, raw=True
         )
-        if self.bus is not None:
-            self.bus.hear(subscription)
+        if self.transport is not None:
+            self.transport.add(subscription)
         return subscription
 
     def destroy_publisher(self, publisher: Output) -> bool:
         """Destroy a publisher that advertise() gave."""
-        if isinstance(publisher, LocalPublisher):
+        if isinstance(publisher, IntraProcessPublisher):
             publisher = publisher.publisher
         return bool(super().destroy_publisher(publisher))
 
     def destroy_subscription(self, subscription: Subscription) -> bool:
         """Destroy a subscription that listen() gave."""
-        if self.bus is not None:
-            self.bus.forget(subscription)
+        if self.transport is not None:
+            self.transport.remove(subscription)
         return bool(super().destroy_subscription(subscription))
 
     def timer(self, period: float, callback: Callable[[], None]) -> Timer:

@@ -12,7 +12,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from shepherd_ros.config import checked, choices_of, Config, ConfigError
 
-C = TypeVar('C', bound=Config)
+_C = TypeVar('_C', bound=Config)
 _LARGEST_INT = 2**62
 _LARGEST_FLOAT = 1e12
 
@@ -70,8 +70,8 @@ def declare(
 
 
 def declare_config(
-    node: Node, config: C, prefix: str = '', skip: tuple[str, ...] = (), read_only: bool = True
-) -> C:
+    node: Node, config: _C, prefix: str = '', skip: tuple[str, ...] = (), read_only: bool = True
+) -> _C:
     """Declare a parameter for each option of a configuration; return it as the user wants it."""
     values = {f.name: getattr(config, f.name) for f in fields(config)}
     for f in fields(config):

@@ -25,9 +25,9 @@ from shepherd_ros.ros.parameters import warn_of_unknown
 
 USER_MISTAKE = 2
 LAST_DOMAIN = 232  # the ports of the next are too high
-LOOK = 0.1  # [s] after which a signal is seen at the latest
-STOPS = (signal.SIGINT, signal.SIGTERM)
-LET_GO = 10.0  # [s] that DDS has to let go when all work is done
+SIGNAL_POLL_PERIOD = 0.1  # [s] after which a signal is seen at the latest
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+DDS_SHUTDOWN_TIMEOUT = 10.0  # [s] that DDS has to let go when all work is done
 
 
 def make_executor(kind: str, context: Any = None) -> Executor:
@@ -45,18 +45,20 @@ def spin(nodes: Sequence[ShepherdNode], until: Callable[[], bool] = lambda: Fals
     executor = make_executor(nodes[0].executor_kind, context)
     for node in nodes:
         executor.add_node(node)
-    buses = {id(node.bus): node.bus for node in nodes if node.bus is not None}.values()
-    for bus in buses:
-        bus.spun(executor.create_task)
+    transports = {
+        id(node.transport): node.transport for node in nodes if node.transport is not None
+    }.values()
+    for transport in transports:
+        transport.deliver_by(executor.create_task)
     try:
         # a time-out, as the events executor of Jazzy hangs without one
         while context.ok() and not until():
-            executor.spin_once(timeout_sec=LOOK)
-            for bus in buses:
-                bus.check()
+            executor.spin_once(timeout_sec=SIGNAL_POLL_PERIOD)
+            for transport in transports:
+                transport.check()
     finally:
-        for bus in buses:
-            bus.spun(None)
+        for transport in transports:
+            transport.deliver_by(None)
         for node in nodes:
             executor.remove_node(node)
         executor.shutdown(timeout_sec=1.0)
@@ -96,7 +98,7 @@ def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None)
     """
     # rclpy's own handlers would end the context in the midst of a callback that publishes
     came: list[int] = []
-    for number in STOPS:
+    for number in STOP_SIGNALS:
         signal.signal(number, lambda number, frame: came.append(number))
     nodes: list[ShepherdNode] = []
     code = USER_MISTAKE
@@ -131,7 +133,9 @@ def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None)
         print(f'{name}: {mistake}', file=sys.stderr)
     finally:
         leave(nodes, name, code)
-        for number in STOPS:  # the end of Python gives handlers up; a second signal would kill
+        for (
+            number
+        ) in STOP_SIGNALS:  # the end of Python gives handlers up; a second signal would kill
             signal.signal(number, signal.SIG_IGN)
     return code
 
@@ -170,10 +174,12 @@ def leave(nodes: Sequence[ShepherdNode], name: str, code: int) -> None:
     """End nodes and context; where DDS does not let go, end the process with its exit code."""
 
     def give_up() -> None:
-        os.write(2, f'{name}: DDS did not let go within {LET_GO:g} s: left it\n'.encode())
+        os.write(
+            2, f'{name}: DDS did not let go within {DDS_SHUTDOWN_TIMEOUT:g} s: left it\n'.encode()
+        )
         os._exit(code)
 
-    timer = Timer(LET_GO, give_up)
+    timer = Timer(DDS_SHUTDOWN_TIMEOUT, give_up)
     timer.daemon = True
     timer.start()
     for node in nodes:

@@ -11,7 +11,7 @@ from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.wire.decode import Scan
 from shepherd_ros.wire.topics import scan_topic
 
-THROTTLE = 5.0  # [s] between two warnings
+SCAN_WARNING_PERIOD = 5.0  # [s] between two warnings
 
 
 class ScanListener:
@@ -114,5 +114,5 @@ class ScanListener:
         self.node.get_logger().warning(
             f'{scan_topic(channel).format(h=shepherd)}: {words}; the shepherd stands still for '
             'this stamp; start the lidar with the options that the checkpoint was trained with',
-            throttle_duration_sec=THROTTLE,
+            throttle_duration_sec=SCAN_WARNING_PERIOD,
         )

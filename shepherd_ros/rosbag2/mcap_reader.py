@@ -32,7 +32,7 @@ from shepherd_ros.rosbag2.records import (
     walk,
 )
 
-RUN = 1 << 20  # [bytes] of messages outside chunks that are read at once
+RUN_BYTES = 1 << 20  # [bytes] of messages outside chunks that are read at once
 CUT_OFF = 'it has no end: the recording was cut off'
 
 
@@ -255,7 +255,7 @@ class Storage(Definitions):
                 frozenset(tally), packed,
             )  # fmt: skip
             last = self.chunks[-1] if self.chunks else found
-            if packed or last is found or last.packed or record.end - last.offset > RUN:
+            if packed or last is found or last.packed or record.end - last.offset > RUN_BYTES:
                 self.chunks.append(found)
             else:
                 self.chunks[-1] = _joined(last, found)

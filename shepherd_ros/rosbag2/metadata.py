@@ -12,7 +12,7 @@ from shepherd_ros.rosbag2.qos import dump_yaml, line_of, load_yaml, Qos, read_qo
 
 VERSION, DISTRO, STORAGE = 9, 'jazzy', 'mcap'
 FILE, KEY = 'metadata.yaml', 'rosbag2_bagfile_information'
-NEVER = 2**63 - 1  # [ns] start of a bag without messages
+NO_START = 2**63 - 1  # [ns] start of a bag without messages
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class FileInfo:
     """One file of a bag; start and duration of its messages in ns."""
 
     path: str
-    start_ns: int = NEVER
+    start_ns: int = NO_START
     duration_ns: int = 0
     count: int = 0
 
@@ -85,7 +85,7 @@ class Metadata:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the map of version 9, in the order of rosbag2."""
-        start = min((f.start_ns for f in self.files), default=NEVER)
+        start = min((f.start_ns for f in self.files), default=NO_START)
         ends = [f.start_ns + f.duration_ns for f in self.files if f.count]
         return {
             'version': VERSION,

@@ -36,7 +36,7 @@ PREFIX = struct.Struct('<BQ')  # opcode, length of the body [bytes]
 MESSAGE = struct.Struct('<HIQQ')  # channel, sequence, log time, publish time [ns]
 CHUNK_HEAD = 32  # [bytes] of a chunk: two times, size, checksum, length of a name
 FOOTER_SIZE = PREFIX.size + 20 + len(MAGIC)  # [bytes] of everything that ends a file
-LARGEST = 256 << 20  # [bytes] of one record, and of one chunk when unpacked
+MAX_RECORD_BYTES = 256 << 20  # [bytes] of one record, and of one chunk when unpacked
 DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA)
 PIECE = 1 << 20  # [bytes] that are unpacked at once
 _PARSED: dict[int, Any] = {
@@ -79,8 +79,10 @@ class Message(NamedTuple):
 
 def read_at(file: BinaryIO, offset: int, length: int) -> bytes:
     """Return length bytes of a file from offset on; raises DamageError if it has not so many."""
-    if length > LARGEST:
-        raise DamageError(offset, f'a record of {length} bytes: expected at most {LARGEST}')
+    if length > MAX_RECORD_BYTES:
+        raise DamageError(
+            offset, f'a record of {length} bytes: expected at most {MAX_RECORD_BYTES}'
+        )
     file.seek(offset)
     data = file.read(length)
     if len(data) != length:
@@ -131,11 +133,11 @@ def parse(opcode: int, body: bytes, offset: int) -> Any:
 def unpack(chunk: Chunk, offset: int) -> bytes:
     """Return the records of a chunk, checked by size and CRC; raises DamageError."""
     size = chunk.uncompressed_size
-    if size > LARGEST:
-        raise DamageError(offset, f'a chunk of {size} bytes: expected at most {LARGEST}')
+    if size > MAX_RECORD_BYTES:
+        raise DamageError(offset, f'a chunk of {size} bytes: expected at most {MAX_RECORD_BYTES}')
     try:
         if chunk.compression == 'zstd':
-            packer = zstandard.ZstdDecompressor(max_window_size=LARGEST)
+            packer = zstandard.ZstdDecompressor(max_window_size=MAX_RECORD_BYTES)
             data = _piecewise(packer.stream_reader(chunk.data).read, size)
         elif chunk.compression == 'lz4':
             unpacker, left = lz4.LZ4FrameDecompressor(), [chunk.data]

@@ -11,7 +11,7 @@ import tempfile
 
 from mcap.records import Channel
 from shepherd_ros.rosbag2.errors import BagError, DamageError, unreadable
-from shepherd_ros.rosbag2.metadata import Metadata, NEVER
+from shepherd_ros.rosbag2.metadata import Metadata, NO_START
 from shepherd_ros.rosbag2.qos import Qos, read_qos
 from shepherd_ros.rosbag2.reader import mcap_files
 from shepherd_ros.rosbag2.salvage import Salvage
@@ -133,13 +133,13 @@ def _rewrite(
                     if channel.id not in added:
                         added[channel.id] = _add(writer, source, channel)
                     why = added[channel.id]
-                    if message.log_ns >= NEVER:
+                    if message.log_ns >= NO_START:
                         why = why or f'messages on {channel.topic} of after the year 2262'
                     if why:
                         result.dropped[why] += 1
                         result.lost_bytes += len(message.data)
                         continue
-                    publish_ns = min(message.publish_ns, NEVER)
+                    publish_ns = min(message.publish_ns, NO_START)
                     on_message(writer.custom_data, channel.topic, message.data)
                     writer.write(channel.topic, message.data, message.log_ns, publish_ns)
                     result.messages += 1

@@ -19,8 +19,8 @@ from shepherd_ros.rosbag2.records import (
     contents,
     DEFINITIONS,
     FOOTER_SIZE,
-    LARGEST,
     MAGIC,
+    MAX_RECORD_BYTES,
     MESSAGE,
     Message,
     PREFIX,
@@ -33,7 +33,7 @@ from shepherd_ros.rosbag2.records import (
 )
 
 T = TypeVar('T')
-WINDOW = 1 << 20  # [bytes] that are searched at once
+SEARCH_WINDOW = 1 << 20  # [bytes] that are searched at once
 GAP = 0  # opcode of a record that stands for bytes that cannot be read
 # the head of a chunk below 4 GiB: kind, length, two times, size, checksum, name of its packing
 _CHUNK = re.compile(rb'\x06.{4}\0{4}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd)', re.DOTALL)
@@ -123,7 +123,7 @@ class Salvage(Definitions):
     def _next_chunk(self, file: BinaryIO, offset: int) -> int | None:
         """Return where the next chunk that is whole begins, None if there is none."""
         while offset < self.size:
-            window = read_at(file, offset, min(WINDOW, self.size - offset))
+            window = read_at(file, offset, min(SEARCH_WINDOW, self.size - offset))
             for match in _CHUNK.finditer(window):
                 with suppress(DamageError):
                     record = record_at(file, offset + match.start(), self.size)
@@ -132,14 +132,14 @@ class Salvage(Definitions):
                     if length == record.length - begin:
                         unpack(read_record(file, record), record.offset)
                         return record.offset
-            if len(window) < WINDOW:
+            if len(window) < SEARCH_WINDOW:
                 return None
-            offset += WINDOW - _OVERLAP
+            offset += SEARCH_WINDOW - _OVERLAP
         return None
 
     def _torn(self, file: BinaryIO, offset: int) -> tuple[list[Message], int]:
         """Return messages of a chunk that the file ends in, if not packed, and their bytes."""
-        data = read_at(file, offset, min(self.size - offset, LARGEST))
+        data = read_at(file, offset, min(self.size - offset, MAX_RECORD_BYTES))
         begin = PREFIX.size + CHUNK_HEAD + 8
         if (
             len(data) < begin

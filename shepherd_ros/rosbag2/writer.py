@@ -12,10 +12,10 @@ from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.mcap_writer import PACKERS
 from shepherd_ros.rosbag2.metadata import DISTRO, Metadata, TopicInfo
 from shepherd_ros.rosbag2.qos import Qos
-from shepherd_ros.rosbag2.records import LARGEST
+from shepherd_ros.rosbag2.records import MAX_RECORD_BYTES
 
 CHUNK_SIZE = 256 << 10  # [bytes]
-LARGEST_MESSAGE = LARGEST // 2  # [bytes], so that a chunk with it can be read
+LARGEST_MESSAGE = MAX_RECORD_BYTES // 2  # [bytes], so that a chunk with it can be read
 SMALLEST_SPLIT = 1024  # [bytes], as in rosbag2
 _ELSEWHERE = 'free space or choose another place, then record into a new folder'
 

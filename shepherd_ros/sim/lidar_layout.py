@@ -40,7 +40,7 @@ _PAPER = (
 for _channel in _PAPER:
     CHANNELS.add(_channel)
 PAPER_CHANNELS = tuple(channel.name for channel in _PAPER)  # which every lidar has, in this order
-GOAL = PAPER_CHANNELS.index('goal')
+GOAL_CHANNEL = PAPER_CHANNELS.index('goal')
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from shepherd_ros.sim.tally import first_tally, flock_spread, MetricsTally, next
 import torch
 from torch import Tensor
 
-PLACES = {
+SHOWN_IN = {
     'summary': 'tables of results, and what the demo prints',
     'eval': 'what training measures: its curve, checkpoints and their cards',
     'progress': 'lines that a training prints',
@@ -51,8 +51,8 @@ class Metric:
     def __post_init__(self) -> None:
         """Check the places, and fill in titles."""
         for place in self.shown:
-            if place not in PLACES:
-                raise unknown_name(f'place of metric {self.name!r}', place, list(PLACES))
+            if place not in SHOWN_IN:
+                raise unknown_name(f'place of metric {self.name!r}', place, list(SHOWN_IN))
         for title in ('title', 'short'):
             object.__setattr__(self, title, getattr(self, title) or self.words)
 

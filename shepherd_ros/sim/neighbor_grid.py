@@ -14,8 +14,8 @@ import numpy as np
 from shepherd_ros.sim.compiled import compiled
 from shepherd_ros.sim.neighbors_compiled import squares_of
 
-CROWD = 16.0  # sheep in the cell of a sheep that are aimed at
-WIDE = np.float32(2.5)  # standard deviations of the flock that the grid reaches to each side
+SHEEP_PER_CELL = 16.0  # sheep in the cell of a sheep that are aimed at
+GRID_REACH = np.float32(2.5)  # standard deviations of the flock that the grid reaches to each side
 MANY = 4  # cells at most, in numbers of sheep
 _SHARE = 3  # of the flock that is left out at least: all but one in so many
 FINER = 6  # times that cells are made smaller where sheep crowd in few of them
@@ -77,12 +77,12 @@ def build(sheep, mask):
         if mask[i]:
             wide_x += (sheep[i, 0] - mean_x) ** 2
             wide_y += (sheep[i, 1] - mean_y) ** 2
-    reach_x = WIDE * math.sqrt(wide_x / max(count, 1)) + 1e-3
-    reach_y = WIDE * math.sqrt(wide_y / max(count, 1)) + 1e-3
+    reach_x = GRID_REACH * math.sqrt(wide_x / max(count, 1)) + 1e-3
+    reach_y = GRID_REACH * math.sqrt(wide_y / max(count, 1)) + 1e-3
     cell = np.zeros(n, np.int64)
     members = np.zeros(n, np.int64)
     start = np.zeros(MANY * n + 2, np.int64)
-    side = math.sqrt(4 * reach_x * reach_y * CROWD / max(count, 1))
+    side = math.sqrt(4 * reach_x * reach_y * SHEEP_PER_CELL / max(count, 1))
     low_x, low_y = np.float32(mean_x - reach_x), np.float32(mean_y - reach_y)
     nx, ny, kept = 1, 1, side
     for _ in range(FINER):
@@ -92,7 +92,7 @@ def build(sheep, mask):
             break
         nx, ny, kept = columns, rows, side
         crowd = _fill(sheep, mask, low_x, low_y, np.float32(side), nx, ny, cell, start, members)
-        if crowd <= 2 * CROWD:
+        if crowd <= 2 * SHEEP_PER_CELL:
             break
         side /= 2
     if nx * ny == 1:

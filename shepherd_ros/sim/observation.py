@@ -7,7 +7,7 @@ import math
 
 from shepherd_ros.config import Config, option
 from shepherd_ros.sim.frames import Frames
-from shepherd_ros.sim.lidar_layout import GOAL, PAPER_CHANNELS
+from shepherd_ros.sim.lidar_layout import GOAL_CHANNEL, PAPER_CHANNELS
 import torch
 from torch import Tensor
 
@@ -61,7 +61,7 @@ def first_ray(ranges: Tensor, config: ObservationConfig) -> Tensor:
     n_rays = ranges.shape[-1]
     if config.align == 'world':
         return torch.zeros(ranges.shape[:-2], dtype=torch.int64, device=ranges.device)
-    seen = ranges[..., GOAL, :]
+    seen = ranges[..., GOAL_CHANNEL, :]
     seen = torch.where(seen.isfinite(), seen, 0.0)
     pitch = 2 * math.pi / n_rays
     theta = torch.arange(n_rays, device=ranges.device, dtype=torch.float64) * pitch

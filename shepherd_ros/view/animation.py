@@ -15,18 +15,18 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.sim.lidar_layout import channel_of
 from shepherd_ros.view.scene import (
     BADGE,
-    GOAL,
+    GOAL_COLOR,
     goal_disc,
     GOAL_FILL,
     INK,
     legend,
     line,
     make_scene,
-    SHEEP,
+    SHEEP_COLOR,
     sheep_size,
     shepherd_color,
 )
-from shepherd_ros.view.track import Array, EpisodeTrack
+from shepherd_ros.view.track import _Array, EpisodeTrack
 from shepherd_ros.view.video import video_writer
 
 RAY = {'linewidths': 0.45, 'alpha': 0.45}
@@ -76,7 +76,7 @@ def frame_steps(n_steps: int, max_frames: int) -> list[int]:
     return np.linspace(0, n_steps - 1, min(n_steps, max_frames)).round().astype(int).tolist()
 
 
-def ray_segments(origin: Array, ranges: Array) -> Array:
+def ray_segments(origin: _Array, ranges: _Array) -> _Array:
     """Return the lines from origin (2,) m to where rays (R,) m end, (K, 2, 2) m; not free rays."""
     angle = 2 * np.pi * np.arange(len(ranges)) / len(ranges)
     hit = np.isfinite(ranges)
@@ -84,7 +84,7 @@ def ray_segments(origin: Array, ranges: Array) -> Array:
     return np.stack([np.broadcast_to(origin, way.shape), origin + way], axis=1)
 
 
-def trail_segments(positions: Array) -> Array:
+def trail_segments(positions: _Array) -> _Array:
     """Return the lines from each of the positions (K, H, 2) m to the next, ((K - 1) H, 2, 2) m."""
     return np.stack([positions[:-1], positions[1:]], axis=2).reshape(-1, 2, 2)
 
@@ -115,7 +115,9 @@ class Painter:
         ]
         self.trails = add(axes.add_collection(LineCollection([], linewidths=2.2)))
         size = sheep_size(track.sheep.shape[1])
-        (self.sheep,) = axes.plot([], [], 'o', ms=size, mfc=SHEEP, mec='white', mew=0.1 * size)
+        (self.sheep,) = axes.plot(
+            [], [], 'o', ms=size, mfc=SHEEP_COLOR, mec='white', mew=0.1 * size
+        )
         add(self.sheep)
         self.shepherds, self.numbers = [], []
         for h in team:
@@ -164,9 +166,11 @@ class Painter:
         track = self.track
         dot = {'marker': 'o', 'linestyle': 'none', 'markeredgecolor': 'white'}
         handles = [
-            Line2D([], [], ms=6, mfc=SHEEP, label='sheep', **dot),
+            Line2D([], [], ms=6, mfc=SHEEP_COLOR, label='sheep', **dot),
             Line2D([], [], ms=10, mfc=shepherd_color(0), label='shepherd', **dot),
-            Line2D([], [], ms=10, mfc=GOAL_FILL, label='goal', **dot | {'markeredgecolor': GOAL}),
+            Line2D(
+                [], [], ms=10, mfc=GOAL_FILL, label='goal', **dot | {'markeredgecolor': GOAL_COLOR}
+            ),
         ]
         if track.ranges is None:
             return handles

@@ -21,32 +21,32 @@ from shepherd_ros.view.animation import TRAIL
 from shepherd_ros.view.packing import packed, quantum, rounded
 from shepherd_ros.view.scene import (
     FAINT,
-    GOAL,
+    GOAL_COLOR,
     GOAL_FILL,
     GRID,
     INK,
-    SHEEP,
+    SHEEP_COLOR,
     sheep_size,
-    SHEPHERDS,
+    SHEPHERD_COLORS,
     view_limits,
 )
 from shepherd_ros.view.track import EpisodeTrack
 
-Ranges = NDArray[np.float32]
+_Ranges = NDArray[np.float32]
 
 SCRIPTS = ('page_plane.js', 'page_curves.js', 'page.js')  # in this order
 MOST_STEPS = 20_000  # in a page; of a longer episode fewer are shown
 MOST_PLACES = 3_000_000  # coordinates in a page, steps x bodies x 2
 MOST_RANGES = 32_000_000  # numbers of rays in a page
 MOST_BYTES = 8_000_000  # of text for the rays
-COLORS = {
-    'sheep': SHEEP,
-    'goal': GOAL,
+PAGE_COLORS = {
+    'sheep': SHEEP_COLOR,
+    'goal': GOAL_COLOR,
     'goalFill': GOAL_FILL,
     'ink': INK,
     'faint': FAINT,
     'grid': GRID,
-    'shepherds': SHEPHERDS,
+    'shepherds': SHEPHERD_COLORS,
 }
 
 
@@ -55,7 +55,7 @@ class Lidar:
     """The rays that a page shows."""
 
     shepherds: list[int]  # S whose lidars they are
-    ranges: Ranges  # (T, S, C, R) m, +inf on free rays
+    ranges: _Ranges  # (T, S, C, R) m, +inf on free rays
     channels: tuple[str, ...]
 
 
@@ -145,7 +145,7 @@ def page_record(
             {'name': name.replace('_', ' '), 'unit': units.get(name, '')} | packed(values[steps])
             for name, values in curves.items()
         ],
-        'colors': COLORS | {'rays': [c.color for c in drawn], 'hits': [c.hit for c in drawn]},
+        'colors': PAGE_COLORS | {'rays': [c.color for c in drawn], 'hits': [c.hit for c in drawn]},
         'sheepSize': sheep_size(track.sheep.shape[1]),
         'trail': TRAIL,
         'lidar': None,

@@ -17,18 +17,18 @@ import numpy as np
 from PIL import Image
 from shepherd_ros.view.scene import (
     BADGE,
-    GOAL,
+    GOAL_COLOR,
     goal_disc,
     GOAL_FILL,
     INK,
     legend,
     line,
     make_scene,
-    SHEEP,
+    SHEEP_COLOR,
     sheep_size,
     shepherd_color,
 )
-from shepherd_ros.view.track import Array, EpisodeTrack
+from shepherd_ros.view.track import _Array, EpisodeTrack
 
 SNAPSHOTS = 4  # times at which all sheep are drawn, pale to dark
 MARKS = 6  # times marked on the tracks, about
@@ -76,7 +76,7 @@ def snapshot_steps(n_steps: int) -> list[int]:
     return sorted(set(np.linspace(0, n_steps - 1, SNAPSHOTS).round().astype(int).tolist()))
 
 
-def time_marks(times: Array) -> list[int]:
+def time_marks(times: _Array) -> list[int]:
     """Return the steps nearest to round times within the episode, about MARKS of them."""
     round_times = MaxNLocator(MARKS, steps=[1, 2, 2.5, 5, 10]).tick_values(times[0], times[-1])
     inside = round_times[(round_times >= times[0]) & (round_times <= times[-1])]
@@ -86,7 +86,7 @@ def time_marks(times: Array) -> list[int]:
 def shade(share: float) -> tuple[float, float, float]:
     """Return the colour of sheep at a share of the episode: pale at 0, full at 1."""
     strength = 0.28 + 0.72 * share
-    red, green, blue = (1 - strength * (1 - c) for c in to_rgb(SHEEP))
+    red, green, blue = (1 - strength * (1 - c) for c in to_rgb(SHEEP_COLOR))
     return red, green, blue
 
 
@@ -139,11 +139,11 @@ def draw_ways(axes: Axes, track: EpisodeTrack) -> list[Line2D]:
         ),
         Line2D([], [], ms=6, mfc='white', mew=1.5, label='shepherd, start', **first),
         Line2D([], [], ms=9, mec='white', label='shepherd, end', **first),
-        Line2D([], [], ls='none', marker='o', ms=10, mfc=GOAL_FILL, mec=GOAL, label='goal'),
+        Line2D([], [], ls='none', marker='o', ms=10, mfc=GOAL_FILL, mec=GOAL_COLOR, label='goal'),
     ]
 
 
-def faded(way: Array, color: str) -> LineCollection:
+def faded(way: _Array, color: str) -> LineCollection:
     """Return a way (T, 2) m as a line that grows stronger with time."""
     lines = np.stack([way[:-1], way[1:]], axis=1)
     strength = np.linspace(0.3, 0.95, len(lines))
@@ -164,7 +164,7 @@ def write_times(axes: Axes, track: EpisodeTrack, marks: list[int]) -> None:
         axes.text(*place, f'{track.times[step]:.4g} s', ha='center', va='center', **style)
 
 
-def free_side(way: Array, step: int, distance: float) -> Array:
+def free_side(way: _Array, step: int, distance: float) -> _Array:
     """Return the point at a distance beside a way (T, 2) m, on the side with more room, (2,) m."""
     ahead = way[min(step + 1, len(way) - 1)] - way[max(step - 1, 0)]
     length = np.linalg.norm(ahead)

@@ -11,16 +11,22 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.text import Text
 import numpy as np
-from shepherd_ros.view.track import Array, EpisodeTrack
+from shepherd_ros.view.track import _Array, EpisodeTrack
 
 # Okabe and Ito's colours, told apart by colour-blind readers
-SHEEP = '#0072B2'
-GOAL = '#009E73'
+SHEEP_COLOR = '#0072B2'
+GOAL_COLOR = '#009E73'
 GOAL_FILL = '#D5EFE6'
 INK = '#22272B'
 FAINT = '#6B747B'
 GRID = '#EDEFF1'
-SHEPHERDS = ('#D55E00', '#B3478B', '#E69F00', '#5B3A8C', '#8A5A2B')  # repeated in larger teams
+SHEPHERD_COLORS = (
+    '#D55E00',
+    '#B3478B',
+    '#E69F00',
+    '#5B3A8C',
+    '#8A5A2B',
+)  # repeated in larger teams
 BADGE = {  # a shepherd's number, in its disc
     'color': 'white',
     'fontsize': 7,
@@ -37,7 +43,7 @@ ASPECTS = (0.9, 1.7)  # narrowest and widest plot, width / height
 
 def shepherd_color(shepherd: int) -> str:
     """Return the colour of a shepherd."""
-    return SHEPHERDS[shepherd % len(SHEPHERDS)]
+    return SHEPHERD_COLORS[shepherd % len(SHEPHERD_COLORS)]
 
 
 def sheep_size(n_sheep: int) -> float:
@@ -115,7 +121,12 @@ def legend(figure: Figure, handles: list[Any], columns: int) -> None:
     )
 
 
-def goal_disc(center: Array, radius: float, **style: object) -> Circle:
+def goal_disc(center: _Array, radius: float, **style: object) -> Circle:
     """Return the goal region as a patch; center (2,) m."""
-    style = {'facecolor': GOAL_FILL, 'edgecolor': GOAL, 'linewidth': 1.4, 'zorder': 1} | style
+    style = {
+        'facecolor': GOAL_FILL,
+        'edgecolor': GOAL_COLOR,
+        'linewidth': 1.4,
+        'zorder': 1,
+    } | style
     return Circle(center, radius, **style)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from shepherd_ros.config import ConfigError
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 
-Array = NDArray[np.float64]
+_Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,13 +21,13 @@ class EpisodeTrack:
     2 pi k / R, counter-clockwise from +x; +inf is a free ray.
     """
 
-    times: Array  # (T,) s
-    sheep: Array  # (T, N, 2) m
-    shepherds: Array  # (T, H, 2) m
-    goal: Array  # (T, 2) m
+    times: _Array  # (T,) s
+    sheep: _Array  # (T, N, 2) m
+    shepherds: _Array  # (T, H, 2) m
+    goal: _Array  # (T, 2) m
     goal_radius: float  # m
     title: str = ''
-    ranges: Array | None = None  # (T, C, R) m
+    ranges: _Array | None = None  # (T, C, R) m
     channels: tuple[str, ...] = PAPER_CHANNELS  # C of them
     lidar_shepherd: int = 0  # whose lidar it is
     parting: int | None = None  # step at which another future begins, to be marked
@@ -57,7 +57,7 @@ class EpisodeTrack:
             )
 
     @property
-    def center(self) -> Array:
+    def center(self) -> _Array:
         """Return the flock's center of mass, (T, 2) m."""
         return self.sheep.mean(axis=1)
 
@@ -68,7 +68,7 @@ class EpisodeTrack:
         return (distance <= self.goal_radius).sum(axis=1)
 
 
-def _check(name: str, value: Array, shape: tuple[int | None, ...]) -> None:
+def _check(name: str, value: _Array, shape: tuple[int | None, ...]) -> None:
     """Raise ConfigError unless value has the shape (None: any length but 0) and usable numbers."""
     fits = value.ndim == len(shape) and value.size > 0
     if not fits or any(e not in (None, g) for e, g in zip(shape, value.shape, strict=True)):

@@ -11,10 +11,10 @@ import numpy as np
 from PIL import Image
 from shepherd_ros.config import ConfigError
 
-Frames = Iterator[np.ndarray]  # (height, width, 3) uint8 each
-Writer = Callable[[Frames, list[np.ndarray]], None]  # all frames; some, for the colours
+_Frames = Iterator[np.ndarray]  # (height, width, 3) uint8 each
+Writer = Callable[[_Frames, list[np.ndarray]], None]  # all frames; some, for the colours
 
-COLORS = 128
+GIF_COLORS = 128
 LAST = 1.5  # [s] that a GIF rests on its last frame before it starts anew
 
 
@@ -32,10 +32,10 @@ def video_writer(path: Path, fps: float) -> Writer:
     raise ConfigError(f'{path} ends in {kind!r}: expected .gif or .mp4')
 
 
-def write_gif(path: Path, frames: Frames, samples: list[np.ndarray], fps: float) -> None:
+def write_gif(path: Path, frames: _Frames, samples: list[np.ndarray], fps: float) -> None:
     """Write an endless GIF whose colours are chosen by the samples, the same in all frames."""
     palette = Image.fromarray(np.concatenate(samples)).quantize(
-        COLORS, method=Image.Quantize.MAXCOVERAGE
+        GIF_COLORS, method=Image.Quantize.MAXCOVERAGE
     )
     images = [
         Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
@@ -46,7 +46,7 @@ def write_gif(path: Path, frames: Frames, samples: list[np.ndarray], fps: float)
     images[0].save(path, 'GIF', save_all=True, append_images=images[1:], **options)
 
 
-def write_mp4(path: Path, frames: Frames, fps: float) -> None:
+def write_mp4(path: Path, frames: _Frames, fps: float) -> None:
     """Write a video that browsers play; frames have even sides."""
     writer: Any
     with imageio.get_writer(path, fps=fps, codec='libx264', macro_block_size=2) as writer:

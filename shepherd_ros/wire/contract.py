@@ -16,7 +16,7 @@ from shepherd_ros.wire.topics import contract, families, member, Topic, topic_pa
 PROSE = ('publisher', 'subscribers', 'meaning')  # may change without any change on the wire
 HASH = 12  # characters of the hash of a topic
 # contract_hash() when bags began to have one for each topic, which were then as they are
-WHOLE = '57135bfda311c7fd6e26293ad7e9721224dca443640b9455ced35affab933188'
+FIRST_CONTRACT_HASH = '57135bfda311c7fd6e26293ad7e9721224dca443640b9455ced35affab933188'
 
 
 @dataclass(frozen=True)

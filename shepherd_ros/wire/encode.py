@@ -8,7 +8,7 @@ import struct
 import numpy as np
 
 ENCAPSULATION = b'\x00\x01\x00\x00'  # plain CDR, little endian
-SECOND = 1_000_000_000  # [ns]
+_NS_PER_SECOND = 1_000_000_000  # [ns]
 
 
 def _string(text: str) -> bytes:
@@ -19,7 +19,7 @@ def _string(text: str) -> bytes:
 
 def _header(ns: int, frame_id: str, align: int) -> bytes:
     """Return a std_msgs/Header, padded so that what follows is aligned to a size [bytes]."""
-    return struct.pack('<iI', ns // SECOND, ns % SECOND) + _frame(frame_id, align)
+    return struct.pack('<iI', ns // _NS_PER_SECOND, ns % _NS_PER_SECOND) + _frame(frame_id, align)
 
 
 @lru_cache(maxsize=256)
@@ -81,7 +81,7 @@ def encode_text(text: str) -> bytes:
 
 def encode_clock(ns: int) -> bytes:
     """Return a rosgraph_msgs/Clock."""
-    return ENCAPSULATION + struct.pack('<iI', ns // SECOND, ns % SECOND)
+    return ENCAPSULATION + struct.pack('<iI', ns // _NS_PER_SECOND, ns % _NS_PER_SECOND)
 
 
 def encode_number(value: float) -> bytes:

@@ -22,9 +22,9 @@ from shepherd_ros.sim.limits import (
 
 SCHEMA = 1
 MODES = ('lockstep', 'realtime')
-SECOND = 1_000_000_000  # [ns]
+_NS_PER_SECOND = 1_000_000_000  # [ns]
 INT64 = 2**63 - 1
-FIELDS: dict[str, tuple[Any, dict[str, Any]]] = {  # an example and the limits
+EPISODE_FIELDS: dict[str, tuple[Any, dict[str, Any]]] = {  # an example and the limits
     'number': (0, {'low': 0, 'high': INT64}),
     'seed': (0, {'low': -INT64 - 1, 'high': INT64}),
     'n_sheep': (100, {'low': 1, 'high': MAX_SHEEP}),
@@ -34,7 +34,10 @@ FIELDS: dict[str, tuple[Any, dict[str, Any]]] = {  # an example and the limits
     'mode': ('lockstep', {'choices': MODES}),
     'version': (__version__, {}),
 }
-START = {'sec': (0, {'low': 0, 'high': 2**31 - 1}), 'nanosec': (0, {'low': 0, 'high': SECOND - 1})}
+START = {
+    'sec': (0, {'low': 0, 'high': 2**31 - 1}),
+    'nanosec': (0, {'low': 0, 'high': _NS_PER_SECOND - 1}),
+}
 WORLD = {
     'dt': (0.5, {'low': MIN_DT, 'high': MAX_DT}),
     'episode_steps': (1000, {'low': 1, 'high': MAX_STEPS}),
@@ -81,9 +84,12 @@ class Episode:
 
     def to_json(self) -> str:
         """Return the content of the topic."""
-        data = {name: getattr(self, name) for name in FIELDS} | {
+        data = {name: getattr(self, name) for name in EPISODE_FIELDS} | {
             'schema': SCHEMA,
-            'start': {'sec': self.start_ns // SECOND, 'nanosec': self.start_ns % SECOND},
+            'start': {
+                'sec': self.start_ns // _NS_PER_SECOND,
+                'nanosec': self.start_ns % _NS_PER_SECOND,
+            },
             'world': dict(self.world),
         }
         return json.dumps(data, sort_keys=True)
@@ -98,17 +104,21 @@ class Episode:
         """
         try:
             data = mapping('episode', json.loads(text))
-            _expect(data, FIELDS.keys() | {'schema', 'start', 'world'})
+            _expect(data, EPISODE_FIELDS.keys() | {'schema', 'start', 'world'})
             if data['schema'] is True or data['schema'] != SCHEMA:
                 raise ConfigError(f'schema is {data["schema"]!r}: expected {SCHEMA}')
-            given = {n: FIELDS[n] for n in FIELDS if n in data or n not in defaults}
+            given = {
+                n: EPISODE_FIELDS[n] for n in EPISODE_FIELDS if n in data or n not in defaults
+            }
             about = defaults | _read(data, given)
             start = _read(_expect(mapping('start', data['start']), START.keys()), START)
             world = dict(mapping('world', data['world']))
             world |= _read(world, WORLD)
             if not (about['frame_id'] and re.match('[0-9]+[.][0-9]+[.][0-9]+', about['version'])):
                 raise ConfigError('frame_id or version is empty: expected names')
-            return cls(start_ns=start['sec'] * SECOND + start['nanosec'], world=world, **about)
+            return cls(
+                start_ns=start['sec'] * _NS_PER_SECOND + start['nanosec'], world=world, **about
+            )
         except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             why = str(error) if isinstance(error, ConfigError) else repr(error)
             raise ConfigError(

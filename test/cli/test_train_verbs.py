@@ -62,7 +62,7 @@ def test_training_goes_on_from_a_checkpoint_with_what_is_asked_changed(tmp_path:
         assert value.equal(end.actor.state_dict()[name]), name
     assert not start.critic.head.weight.equal(end.critic.head.weight)
     _, record, _ = read_checkpoint_metadata(tmp_path / 'b' / 'best.safetensors')
-    assert record['config']['start'] == str(first)
+    assert record['config']['pretrained'] == str(first)
     assert record['command'].startswith(f'shepherd train ppo --pretrained {first}')
 
 

@@ -29,7 +29,7 @@ from typing import Any
 import pyarrow as pa
 from pyarrow import parquet
 from rosbag2 import fuzz
-from shepherd_ros.cli.checkpoint import Info
+from shepherd_ros.cli.checkpoint import _Info
 from shepherd_ros.cli.errors import UserError
 from shepherd_ros.config import ConfigError
 from shepherd_ros.datasets.examples import look_at
@@ -171,7 +171,7 @@ def open_checkpoint(work: Path) -> None:
     screen = io.TextIOWrapper(io.BytesIO(), 'utf-8')
     try:
         with redirect_stdout(screen):
-            Info(path, weights=True).run()
+            _Info(path, weights=True).run()
     finally:
         screen.flush()
         shown = screen.buffer.getvalue()  # type: ignore[attr-defined]

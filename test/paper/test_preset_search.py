@@ -18,7 +18,7 @@ from shepherd_ros.paper.preset_search import (
     attempt,
     CHOICES,
     gap_of,
-    Known,
+    KnownTables,
     NAME,
     POINTS,
     preset_of,
@@ -118,7 +118,7 @@ def test_only_numbers_about_the_baselines_are_judged() -> None:
 
 
 def test_only_cells_that_a_choice_changes_are_run_again() -> None:
-    cells: Known = {}
+    cells: KnownTables = {}
     attempt(DEFAULT, 2, steps=2, known=cells)
     before = len(cells)
     changed = DEFAULT | {'controllers.pierson.lead': 4.0}

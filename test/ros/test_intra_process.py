@@ -1,4 +1,4 @@
-"""The bus between nodes of one process: nobody misses a message, nobody hears one twice."""
+"""The transport between nodes of one process: nobody misses a message, nobody hears one twice."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nodes.process import assert_same_states, DEADLINE, Graph, rollout
 import pytest
 from shepherd_ros.bringup import herding_stack
 from shepherd_ros.nodes.compose import compose
-from shepherd_ros.ros.intra_process import Bus
+from shepherd_ros.ros.intra_process import IntraProcessTransport
 from shepherd_ros.ros.node import EXECUTORS, ShepherdNode
 from shepherd_ros.ros.runtime import spin
 from shepherd_ros.sim.rollout import EnvConfig
@@ -59,12 +59,12 @@ def stack(graph: Graph, executor: str = 'events', **options: Any) -> list[Shephe
 class Talk(ShepherdNode):
     """A node that says and hears the poses of the flock."""
 
-    def __init__(self, graph: Graph, name: str, bus: Bus | None) -> None:
+    def __init__(self, graph: Graph, name: str, transport: IntraProcessTransport | None) -> None:
         """Hear poses; what they say is their stamp."""
-        super().__init__(name, bus=bus, context=graph.context, cli_args=[])
+        super().__init__(name, transport=transport, context=graph.context, cli_args=[])
         self.out = self.advertise('flock/poses')
         self.heard: list[int] = []
-        self.ear = self.listen('flock/poses', self.on_poses, decode=bytes)
+        self.reader = self.listen('flock/poses', self.on_poses, decode=bytes)
 
     def on_poses(self, raw: bytes) -> None:
         """Keep the stamp."""
@@ -80,9 +80,9 @@ def test_a_stack_on_the_bus_does_what_the_environment_does(graph: Graph, executo
     with alive(stack(graph, executor, episodes=1)) as nodes:
         sim: Any = nodes[0]
         run(nodes, lambda: sim.finished)
-        assert nodes[0].bus is not None
+        assert nodes[0].transport is not None
         # poses of two kinds, and of each shepherd three scans and a command
-        assert nodes[0].bus.carried >= 0.5 * STEPS * (2 + 2 * 4)
+        assert nodes[0].transport.delivered >= 0.5 * STEPS * (2 + 2 * 4)
         world = WorldConfig(n_sheep=10, n_shepherds=2, episode_steps=STEPS)
         expected = rollout('pierson', EnvConfig(world=world))[0][-1]
         assert torch.equal(sim.state.sheep, expected.sheep)
@@ -102,8 +102,8 @@ def test_who_listens_from_elsewhere_hears_all_and_the_episode_is_the_same(graph:
 
 
 def test_everybody_hears_each_message_once_whoever_comes_and_goes(graph: Graph) -> None:
-    bus = Bus()
-    with alive([Talk(graph, name, bus) for name in ('one', 'two')]) as nodes:
+    transport = IntraProcessTransport()
+    with alive([Talk(graph, name, transport) for name in ('one', 'two')]) as nodes:
         one, two = nodes
         assert isinstance(one, Talk) and isinstance(two, Talk)
         number = 0
@@ -124,34 +124,34 @@ def test_everybody_hears_each_message_once_whoever_comes_and_goes(graph: Graph) 
             lambda: len(one.get_subscriptions_info_by_topic('flock/poses')) == 2, 'in the graph'
         )
         say(20)
-        assert bus.carried == 20
+        assert transport.delivered == 20
         probe = graph.collect('flock/poses', PoseArray)
         graph.until(lambda: one.out.get_subscription_count() == 3, 'the probe is there')
         say(20, probe)
-        assert bus.carried == 20, 'who is elsewhere hears by DDS, and so do all'
+        assert transport.delivered == 20, 'who is elsewhere hears by DDS, and so do all'
         assert len(probe) == 20
         graph.node.destroy_subscription(next(iter(graph.node.subscriptions)))
         graph.until(lambda: one.out.get_subscription_count() == 2, 'the probe is gone')
         graph.until(lambda: len(one.get_subscriptions_info_by_topic('flock/poses')) == 2, 'gone')
         say(20)
-        assert bus.carried == 40
+        assert transport.delivered == 40
         assert one.heard == two.heard == list(range(60))
 
 
 def test_a_full_queue_drops_the_oldest_and_the_destroyed_hear_nothing(graph: Graph) -> None:
-    bus = Bus()
-    with alive([Talk(graph, name, bus) for name in ('one', 'two')]) as nodes:
+    transport = IntraProcessTransport()
+    with alive([Talk(graph, name, transport) for name in ('one', 'two')]) as nodes:
         one, two = nodes
         assert isinstance(one, Talk) and isinstance(two, Talk)
         graph.until(lambda: one.out.get_subscription_count() == 2, 'both have found each other')
         graph.until(
             lambda: len(one.get_subscriptions_info_by_topic('flock/poses')) == 2, 'in the graph'
         )
-        depth = one.ear.qos_profile.depth
+        depth = one.reader.qos_profile.depth
         for number in range(depth + 7):  # nobody spins yet
             one.say(number)
-        assert bus.carried == depth + 7
-        two.destroy_subscription(two.ear)
+        assert transport.delivered == depth + 7
+        two.destroy_subscription(two.reader)
         run(nodes, lambda: len(one.heard) >= depth)
         assert one.heard == list(range(7, depth + 7))
         assert two.heard == []
@@ -159,22 +159,22 @@ def test_a_full_queue_drops_the_oldest_and_the_destroyed_hear_nothing(graph: Gra
 
 @pytest.mark.parametrize('executor', EXECUTORS)
 def test_a_callback_on_the_bus_that_fails_ends_the_spin(graph: Graph, executor: str) -> None:
-    bus = Bus()
-    with alive([Talk(graph, 'one', bus)]) as (one,):
+    transport = IntraProcessTransport()
+    with alive([Talk(graph, 'one', transport)]) as (one,):
         assert isinstance(one, Talk)
         one.executor_kind = executor
 
         def fail(raw: bytes) -> None:
             raise ArithmeticError('of a callback')
 
-        one.destroy_subscription(one.ear)
+        one.destroy_subscription(one.reader)
         one.listen('flock/poses', fail, decode=bytes)
         graph.until(lambda: one.out.get_subscription_count() == 1, 'it has found itself')
         graph.until(
             lambda: len(one.get_subscriptions_info_by_topic('flock/poses')) == 1, 'in the graph'
         )
         one.say(1)
-        assert bus.carried == 1
+        assert transport.delivered == 1
         with pytest.raises(ArithmeticError, match='of a callback'):
             run([one], lambda: False)
 

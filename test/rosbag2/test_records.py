@@ -13,7 +13,7 @@ import pytest
 from shepherd_ros.rosbag2.errors import DamageError
 from shepherd_ros.rosbag2.records import (
     contents,
-    LARGEST,
+    MAX_RECORD_BYTES,
     MESSAGE,
     Message,
     parse,
@@ -45,7 +45,7 @@ def test_chunks_are_unpacked_and_checked(kind: str) -> None:
 
 @pytest.mark.parametrize('kind', PACKERS)
 def test_a_chunk_that_claims_too_much_is_refused_at_once(kind: str) -> None:
-    for size in (LARGEST + 1, 2**40, 2**64 - 1):
+    for size in (MAX_RECORD_BYTES + 1, 2**40, 2**64 - 1):
         with pytest.raises(DamageError, match=f'a chunk of {size} bytes: expected at most'):
             unpack(chunk(b'x', kind, size), 0)
 
@@ -71,8 +71,8 @@ def test_records_do_not_reach_beyond_the_file() -> None:
     file = BytesIO(PREFIX.pack(5, 2**40) + bytes(100))
     with pytest.raises(DamageError, match='a record of 1099511627776 bytes, where 109 are left'):
         record_at(file, 0, 109)
-    with pytest.raises(DamageError, match=f'expected at most {LARGEST}'):
-        read_at(file, 0, LARGEST + 1)
+    with pytest.raises(DamageError, match=f'expected at most {MAX_RECORD_BYTES}'):
+        read_at(file, 0, MAX_RECORD_BYTES + 1)
     with pytest.raises(DamageError, match='the file ends after 9 of 10 bytes'):
         read_at(file, 100, 10)
     for opcode in (0, 0x10, 0x7F):

@@ -15,7 +15,7 @@ import pytest
 from shepherd_ros.config import ConfigError
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.view import page
-from shepherd_ros.view.packing import LARGEST, quantum
+from shepherd_ros.view.packing import MAX_CODE, quantum
 from shepherd_ros.view.page import write_page
 from shepherd_ros.view.track import EpisodeTrack
 from view.pages import curves, record_of, scans, unpacked, wandering
@@ -69,8 +69,8 @@ def test_nothing_is_fetched(tmp_path: Path) -> None:
 @pytest.mark.parametrize('extent', [1e-9, 0.3, 1.0, 65534.0, 65535.0, 123456.0, 5e8])
 def test_steps_are_round_and_just_fine_enough(extent: float) -> None:
     step = quantum(extent)
-    assert step * LARGEST >= extent
-    assert step * LARGEST <= 2.51 * extent
+    assert step * MAX_CODE >= extent
+    assert step * MAX_CODE <= 2.51 * extent
     assert f'{step:.0e}'[0] in '125'
 
 

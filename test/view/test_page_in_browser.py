@@ -15,7 +15,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
 from shepherd_ros.sim.lidar_layout import CHANNELS
 from shepherd_ros.view.page import write_page
-from shepherd_ros.view.scene import GOAL_FILL, SHEEP, shepherd_color
+from shepherd_ros.view.scene import GOAL_FILL, SHEEP_COLOR, shepherd_color
 from view.browser import chromium, Reader
 from view.pages import curves, herding, scans, wandering
 
@@ -105,7 +105,7 @@ def test_scrubbing_to_the_end_shows_the_last_state(page: Reader) -> None:
 @pytest.mark.parametrize('step', [0, 77, LAST])
 def test_all_is_painted_at_its_place(page: Reader, step: int) -> None:
     page.go(step)
-    assert page.color(TRACK.sheep[step, 0]) == SHEEP
+    assert page.color(TRACK.sheep[step, 0]) == SHEEP_COLOR
     assert page.color(TRACK.sheep[(step + 100) % LAST, 0]) == ''
     assert page.color(TRACK.shepherds[step, 2], 6) == shepherd_color(2)  # beside its number
     around = TRACK.goal[step] + 3.8 * np.stack([np.cos(range(7)), np.sin(range(7))], axis=-1)
@@ -181,10 +181,10 @@ def test_what_is_painted_stays_in_place_when_the_plane_is_moved_and_enlarged(pag
     plane, before = page.find('#plane'), page.run(span)
     ActionChains(page.driver).drag_and_drop_by_offset(plane, 60, 30).perform()
     page.until(lambda: page.run(span)[0] < before[0] - 1, 'the plane has moved')
-    assert page.color(TRACK.sheep[0, 0]) == SHEEP
+    assert page.color(TRACK.sheep[0, 0]) == SHEEP_COLOR
     page.find('.modebar-btn[data-val="out"]').click()
     page.until(lambda: np.ptp(page.run(span)) > 1.2 * np.ptp(before), 'it is smaller')
-    assert page.color(TRACK.sheep[0, 0]) == SHEEP
+    assert page.color(TRACK.sheep[0, 0]) == SHEEP_COLOR
     page.find('.modebar-btn[data-val="reset"]').click()
     page.until(lambda: np.allclose(page.run(span), before), 'it is as it was')
 

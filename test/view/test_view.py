@@ -23,7 +23,7 @@ from shepherd_ros.view.animation import (
     trail_segments,
 )
 from shepherd_ros.view.picture import draw_tracks, free_side, shade, snapshot_steps, time_marks
-from shepherd_ros.view.scene import GOAL_FILL, make_scene, SHEEP, shepherd_color, view_limits
+from shepherd_ros.view.scene import GOAL_FILL, make_scene, SHEEP_COLOR, shepherd_color, view_limits
 from shepherd_ros.view.track import EpisodeTrack
 
 WHITE = (255, 255, 255)
@@ -143,7 +143,7 @@ def test_a_time_is_written_where_the_way_is_not() -> None:
 def test_later_sheep_are_darker() -> None:
     brightness = [np.dot(shade(share), (0.30, 0.59, 0.11)) for share in (0, 1 / 3, 2 / 3, 1)]
     assert (np.diff(brightness) < -0.1).all()
-    assert_allclose(shade(1.0), to_rgb(SHEEP))
+    assert_allclose(shade(1.0), to_rgb(SHEEP_COLOR))
 
 
 # What is drawn
@@ -155,7 +155,7 @@ def test_the_picture_shows_goal_and_sheep_at_their_places(tmp_path: Path) -> Non
     assert image.getpixel(pixel(track, (-3.0, 1.0), 2)) == rgb(GOAL_FILL)
     assert image.getpixel(pixel(track, (-3.0, 3.3), 2)) == WHITE
     for place in track.sheep[0]:
-        assert image.getpixel(pixel(track, place, 2)) == rgb(SHEEP)
+        assert image.getpixel(pixel(track, place, 2)) == rgb(SHEEP_COLOR)
 
 
 def test_the_picture_shows_where_sheep_and_shepherds_went(tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def test_the_picture_shows_where_sheep_and_shepherds_went(tmp_path: Path) -> Non
     image = drawn(track, tmp_path / 'moved.png')
     pale = tuple(round(255 * c) for c in shade(0))
     assert image.getpixel(pixel(track, (7.0, 0.8), 2)) == pytest.approx(pale, abs=1)
-    assert image.getpixel(pixel(track, (7.0, -6.0), 2)) == rgb(SHEEP)
+    assert image.getpixel(pixel(track, (7.0, -6.0), 2)) == rgb(SHEEP_COLOR)
     way = np.array(image.getpixel(pixel(track, (-4.9, 10.0), 2)))
     color = np.array(rgb(shepherd_color(0)))
     assert np.linalg.norm(way - color) < 0.6 * np.linalg.norm(np.array(WHITE) - color)
@@ -208,7 +208,7 @@ def test_a_frame_shows_all_at_their_places_and_follows_the_data() -> None:
     painter = Painter(track)
     before, after, again = (painter.paint(step) for step in (0, 1, 0))
     old, new = (pixel(track, place)[::-1] for place in sheep[:, 2])
-    assert tuple(before[old]) == tuple(after[new]) == rgb(SHEEP)
+    assert tuple(before[old]) == tuple(after[new]) == rgb(SHEEP_COLOR)
     assert tuple(before[new]) == tuple(after[old]) == WHITE
     assert_array_equal(before, again)  # a frame depends on its step alone
     column, row = pixel(track, (-3.0, 1.0))
@@ -288,7 +288,9 @@ def test_a_gif_has_the_frames_of_the_steps_in_time(tmp_path: Path) -> None:
     assert seen == [(1, 5), (2, 5), (3, 5), (4, 5), (5, 5)]
     for image, step in zip(shown, [0, 10, 20, 30, 40], strict=True):
         assert image.size == tuple(figure.bbox.size.round().astype(int))
-        assert image.getpixel(pixel(track, walk[step, 2])) == pytest.approx(rgb(SHEEP), abs=8)
+        assert image.getpixel(pixel(track, walk[step, 2])) == pytest.approx(
+            rgb(SHEEP_COLOR), abs=8
+        )
         assert image.getpixel(pixel(track, (-3.0, 1.0))) == pytest.approx(rgb(GOAL_FILL), abs=8)
         assert image.getpixel((3, 3)) == pytest.approx(WHITE, abs=8)
     with Image.open(path) as image:
