@@ -32,7 +32,7 @@ class Record(OneSetting):
     seed: int = 0
     """Seed of the first episode."""
     training: bool = False
-    """Start as in training: 1 to 6 shepherds, goals of 4 to 8 m, 100 sheep."""
+    """Start as in training: 1 to 6 shepherds, goals of 4 to 8 m."""
     compression: Literal['none', 'zstd', 'lz4'] = 'none'
     """Compression of the bags."""
     workers: int = 1

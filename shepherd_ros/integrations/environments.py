@@ -1,13 +1,19 @@
 """
-The environment in the terms of Gymnasium (vector) and of PettingZoo (parallel).
+The environment in the terms of Gymnasium (single and vector) and of PettingZoo (parallel).
 
-Both run sim.env: an observation is the network's input (D, L) float32, an action a velocity (2,)
+All run sim.env: an observation is the network's input (D, L) float32, an action a velocity (2,)
 in units of the top speed, relative to the ray in front of the input. The reward is the team's. An
-episode ends by its time limit only, which is a truncation.
+episode ends by its time limit only, which is a truncation. Without a seed, reset() goes on with
+other episodes than before.
+
+Once this is imported, gymnasium.make('shepherd_ros/Herding-v0', config=EnvConfig(...)) makes one
+world with one shepherd, and gymnasium.make_vec() many.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+import secrets
 from typing import Any
 
 import gymnasium
@@ -22,7 +28,7 @@ from shepherd_ros.sim.rollout import EnvConfig
 import torch
 from torch import Tensor
 
-DEFAULT_SEED = 0
+ID = 'shepherd_ros/Herding-v0'
 
 
 def spaces_of(config: EnvConfig) -> tuple[spaces.Box, spaces.Box]:
@@ -58,8 +64,10 @@ class _Worlds:
         return inputs.numpy()
 
     def reset(self, seed: int | None) -> np.ndarray:
-        """Start anew; return inputs."""
-        stack, _ = self.env.reset(DEFAULT_SEED if seed is None else seed)
+        """Start anew, the first time with any seed if none is given; return inputs."""
+        if seed is None and not self.env.started:
+            seed = secrets.randbits(63)
+        stack, _ = self.env.reset(seed)
         return self._remember(stack)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, Tensor, Tensor, dict[str, Any]]:
@@ -76,12 +84,50 @@ class _Worlds:
         return self.seen(stack)
 
 
+def alone(config: EnvConfig | None) -> EnvConfig:
+    """Return the configuration of one shepherd, the default one if none is given."""
+    config = config or replace(EnvConfig(), world=replace(EnvConfig().world, n_shepherds=1))
+    if config.world.n_shepherds != 1:
+        raise ConfigError(
+            f'n_shepherds is {config.world.n_shepherds}: expected 1; take HerdingVectorEnv or '
+            'HerdingParallelEnv for a team'
+        )
+    return config
+
+
+class HerdingEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """One world with one shepherd; the info of the last step has the metrics of the episode."""
+
+    metadata = {'render_modes': []}  # noqa: RUF012
+
+    def __init__(self, config: EnvConfig | None = None) -> None:
+        """Make the world; reset() starts it."""
+        self.worlds = _Worlds(alone(config), 1)
+        self.observation_space, self.action_space = spaces_of(self.worlds.config)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Return observation (D, L) and info."""
+        super().reset(seed=seed)
+        return self.worlds.reset(seed)[0, 0], {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Return observation (D, L), reward, ends and info after an action (2,)."""
+        seen, reward, truncated, info = self.worlds.step(np.asarray(action)[None, None])
+        told: dict[str, Any] = {}
+        if truncated[0]:
+            seen = self.worlds.seen(info['final_observation'])
+            told = {name: float(value[0]) for name, value in info['final_metrics'].items()}
+        return seen[0, 0], float(reward[0]), False, bool(truncated[0]), told
+
+
 class HerdingVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """
     Every shepherd of every world is one of the num_envs environments, world by world.
 
     Episodes that end start anew in the same step; `final_obs` in the info is then what was seen
-    last, and `final_info` has the metrics of each world's episode.
+    last, and `final_info` has the metrics of each world's episode; masks say whose they are.
     """
 
     def __init__(self, config: EnvConfig | None = None, n_worlds: int = 8) -> None:
@@ -97,7 +143,8 @@ class HerdingVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.action_space = gymnasium.vector.utils.batch_space(
             self.single_action_space, self.num_envs
         )
-        self.metadata = {'autoreset_mode': AutoresetMode.SAME_STEP}
+        self.autoreset_mode = AutoresetMode.SAME_STEP
+        self.metadata = {'autoreset_mode': self.autoreset_mode}
 
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
@@ -115,10 +162,12 @@ class HerdingVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         seen, reward, truncated, info = self.worlds.step(given)
         told: dict[str, Any] = {}
         if 'final_observation' in info:
+            ended = self._each(truncated)
             told['final_obs'] = self._flat(self.worlds.seen(info['final_observation']))
-            told['_final_obs'] = self._each(truncated)
-            metrics = info['final_metrics']
-            told['final_info'] = {name: self._each(value) for name, value in metrics.items()}
+            final: dict[str, np.ndarray] = {}
+            for name, value in info['final_metrics'].items():
+                final |= {name: self._each(value), f'_{name}': ended}
+            told |= {'final_info': final, '_final_obs': ended, '_final_info': ended}
         ended = self._each(truncated)
         return self._flat(seen), self._each(reward), np.zeros_like(ended), ended, told
 
@@ -128,6 +177,11 @@ class HerdingVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def _each(self, value: Tensor) -> np.ndarray:
         """Return what a world has (B,) for each of its shepherds (num_envs,)."""
         return value.repeat_interleave(self.team).numpy()
+
+
+def alone_in_each(*, num_envs: int, config: EnvConfig | None = None) -> HerdingVectorEnv:
+    """Return so many worlds with one shepherd each."""
+    return HerdingVectorEnv(alone(config), num_envs)
 
 
 class HerdingParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
@@ -145,7 +199,6 @@ class HerdingParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         seen, done = spaces_of(config)
         self.observation_spaces = dict.fromkeys(self.possible_agents, seen)
         self.action_spaces = dict.fromkeys(self.possible_agents, done)
-        self._episode = -1
 
     def observation_space(self, agent: str) -> spaces.Box:
         """Return what an agent sees."""
@@ -158,10 +211,9 @@ class HerdingParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
-        """Return observations and infos; without a seed, the episode after the last one."""
-        self._episode = self._episode + 1 if seed is None else seed
+        """Return observations and infos."""
         self.agents = list(self.possible_agents)
-        seen = self.worlds.reset(self._episode)
+        seen = self.worlds.reset(seed)
         return self._by_name(seen), {name: {} for name in self.agents}
 
     def step(
@@ -173,7 +225,14 @@ class HerdingParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Return observations, rewards, terminations, truncations and infos by agent."""
+        """
+        Return observations, rewards, terminations, truncations and infos by agent.
+
+        They are empty after the end, when all agents are gone.
+        """
+        self.worlds.env.require_start()
+        if not self.agents:
+            return {}, {}, {}, {}, {}
         missing = sorted(set(self.agents) - set(actions))
         if missing:
             raise ConfigError(f'actions lack {missing}: expected one for each of {self.agents}')
@@ -200,3 +259,8 @@ class HerdingParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
 
     def _by_name(self, seen: np.ndarray) -> dict[str, np.ndarray]:
         return dict(zip(self.possible_agents, seen[0], strict=True))
+
+
+if ID not in gymnasium.registry:
+    here = f'{__name__}:'
+    gymnasium.register(ID, here + 'HerdingEnv', vector_entry_point=here + 'alone_in_each')

@@ -57,7 +57,8 @@ class HerdingVecEnv(VecEnv):
             total += reward
         infos: Infos = [{'TimeLimit.truncated': bool(end)} for end in truncated]
         for i in truncated.nonzero()[0]:
-            metrics = {name: float(value[i]) for name, value in info['final_info'].items()}
+            final = info['final_info'].items()
+            metrics = {name: float(value[i]) for name, value in final if name[0] != '_'}
             infos[i] |= {'terminal_observation': info['final_obs'][i], 'metrics': metrics}
         return seen, total, truncated, cast(Any, infos)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from shepherd_ros.learning.task import draw_environment, TaskConfig
 from shepherd_ros.sim.lidar import LidarConfig
+from shepherd_ros.sim.rng import mixed_seeds
 from shepherd_ros.sim.rollout import advance, Moment, start
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
@@ -15,7 +16,6 @@ import torch
 from torch import Tensor
 
 CPU = torch.device('cpu')
-EPISODE_SEED_STRIDE = 1_000_003  # from an episode of a group to its next
 
 Reward = Callable[[Moment], Tensor]  # of each shepherd after a step, (B, H)
 
@@ -39,7 +39,11 @@ class WorldGroup:
         count: bool = False,
         device: torch.device = CPU,
     ) -> None:
-        """Make the group; begin() starts its first episode. count: with the tally of metrics."""
+        """
+        Make the group; begin() starts its first episode. count: with the tally of metrics.
+
+        Its episodes are those of seed and index, which is its own over all processes.
+        """
         self.task, self.index, self.n_worlds, self.seed = task, index, n_worlds, seed
         self.lidar, self.count, self.device = lidar, count, device
         self.episode = 0
@@ -50,10 +54,9 @@ class WorldGroup:
 
     def begin(self, steps: int) -> None:
         """Start an episode of so many steps, in a world that is drawn from the task."""
-        seed = self.seed + EPISODE_SEED_STRIDE * self.episode + 1000 * self.index
-        config = replace(draw_environment(self.task, seed), lidar=self.lidar)
-        seeds = seed + torch.arange(self.n_worlds, device=self.device)
-        self.moment = start(spawn(config.world, seeds), config, self.count)
+        seeds = mixed_seeds(self.n_worlds, self.seed, self.index, self.episode)
+        config = replace(draw_environment(self.task, int(seeds[0])), lidar=self.lidar)
+        self.moment = start(spawn(config.world, seeds.to(self.device)), config, self.count)
         self.left, self.episode = steps, self.episode + 1
 
     def state_dict(self) -> dict[str, Any]:

@@ -12,10 +12,9 @@ from shepherd_ros.learning.store import Store
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.observation import turned
+from shepherd_ros.sim.rng import mixed_seeds
 import torch
 from torch import Tensor
-
-RANK_SEED_STRIDE = 15_485_863  # seeds from one process to the next
 
 
 @dataclass
@@ -69,7 +68,8 @@ class Rollout:
         self.policy, self.decisions, self.reward = policy, decisions, reward
         self.device, repeat = policy.device, policy.config.action_repeat
         # each process draws and starts for itself
-        self.generator = torch.Generator(self.device).manual_seed(seed + RANK_SEED_STRIDE * rank())
+        mixed = int(mixed_seeds(1, seed, rank()))
+        self.generator = torch.Generator(self.device).manual_seed(mixed)
         self.steps = task.episode_steps // repeat * repeat
         self.store = Store(policy, groups, worlds, task.shepherds_max, decisions, dtype)
         lidar, mine = policy.config.lidar, range(rank() * groups, (rank() + 1) * groups)

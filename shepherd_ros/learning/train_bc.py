@@ -20,6 +20,7 @@ from shepherd_ros.learning.validation import validate
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.observation import turned
+from shepherd_ros.sim.rng import mixed_seeds
 from torch import Tensor
 
 
@@ -94,7 +95,7 @@ def train_bc(
         cloner.slow_down(1 - 0.95 * epoch / config.epochs)
         losses: list[float] = []
         due = 0.0
-        order = config.seed + epoch
+        order = int(mixed_seeds(1, config.seed, epoch))
         for frames, first, wanted in stream_examples(places, policy, report, order, config.labels):
             examples.add(frames, first, wanted)
             due += config.replay_ratio * len(first) / config.clone.batch_size

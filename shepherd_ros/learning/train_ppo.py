@@ -22,9 +22,8 @@ from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.validation import validate
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
+from shepherd_ros.sim.rng import mixed_seeds
 import torch
-
-STAGE_SEED_STRIDE = 7919  # of seeds, from a stage to the next
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ class Training:
             config.groups,
             config.worlds,
             config.decisions,
-            config.seed + stage * STAGE_SEED_STRIDE,
+            int(mixed_seeds(1, config.seed, stage)),
             self.dtype,
         )
 

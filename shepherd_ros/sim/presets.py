@@ -100,7 +100,7 @@ def world_preset(name: str = 'default', flock: str = 'strombom') -> WorldConfig:
 def training_world(world: WorldConfig) -> WorldConfig:
     """Return a world that starts as in training: 1 to 6 shepherds, goals of 4 to 8 m."""
     spawn = replace(world.spawn, goal_radius_extra=4.0, fewest_shepherds=1)
-    return replace(world, n_sheep=100, n_shepherds=6, goal_radius=4.0, spawn=spawn)
+    return replace(world, n_shepherds=6, goal_radius=4.0, spawn=spawn)
 
 
 def home_world(world: WorldConfig) -> WorldConfig:

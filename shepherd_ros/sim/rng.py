@@ -12,6 +12,8 @@ from __future__ import annotations
 from enum import IntEnum
 import math
 
+import numpy as np
+from numpy.random import SeedSequence
 import torch
 from torch import Tensor
 
@@ -45,6 +47,20 @@ class Stream(IntEnum):
     DROPOUT = 14
     CONTROL = 15
     ACTION = 16
+
+
+FIRST_MIXED = 1 << 52  # lowest of mixed_seeds(); what is held out has seeds below
+_MASK = (1 << 64) - 1
+
+
+def mixed_seeds(count: int, *key: int) -> Tensor:
+    """
+    Return seeds (count,) int64 of independent episodes: the k-th is a function of key and k.
+
+    They are mixed as numpy.random.SeedSequence does, and lie in [2**52, 2**53).
+    """
+    words = SeedSequence([k & _MASK for k in key]).generate_state(count, np.uint64)
+    return torch.from_numpy((words >> np.uint64(12)).astype(np.int64) + FIRST_MIXED)
 
 
 def _mix(z: Tensor) -> Tensor:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import gymnasium
+import gymnasium.utils.env_checker
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 import numpy as np
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 import pytest
 from shepherd_ros.config import ConfigError
-from shepherd_ros.integrations.environments import HerdingParallelEnv, HerdingVectorEnv
+from shepherd_ros.integrations.environments import HerdingEnv, HerdingParallelEnv, HerdingVectorEnv
 from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.observation import first_ray, network_input, ObservationConfig, turned
 from shepherd_ros.sim.presets import training_world
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
+import stable_baselines3.common.env_checker
 import torch
 
 WORLD = WorldConfig(n_sheep=8, n_shepherds=2, episode_steps=7, shepherd_speed=0.8)
@@ -53,6 +56,70 @@ def test_vector_environments_are_those_of_the_core(observation: ObservationConfi
             assert info['_final_obs'].all()
             reached = told['final_metrics']['fraction_reached'].repeat_interleave(2)
             assert np.array_equal(info['final_info']['fraction_reached'], reached)
+
+
+def test_copies_and_later_episodes_have_starts_of_their_own() -> None:
+    config = replace(CONFIG, world=replace(WORLD, n_shepherds=1, episode_steps=2))
+    one, starts = HerdingParallelEnv(config), set[bytes]()
+    for seed in (*range(8), None):
+        for episode in range(20):
+            seen, _ = one.reset(seed if episode == 0 else None)
+            starts.add(seen['shepherd_0'].tobytes())
+    assert len(starts) == 9 * 20
+    for env in (HerdingVectorEnv(config, 2), HerdingEnv(config)):
+        env.reset(seed=5)
+        first, second = (env.reset()[0] for _ in range(2))
+        assert not np.array_equal(first, second)
+        zero, _ = env.reset(seed=0)
+        assert not np.array_equal(second, zero)
+
+
+def test_one_shepherd_has_an_id_that_both_checkers_accept() -> None:
+    env = gymnasium.make('shepherd_ros.integrations.environments:shepherd_ros/Herding-v0')
+    gymnasium.utils.env_checker.check_env(env.unwrapped)
+    stable_baselines3.common.env_checker.check_env(env.unwrapped)
+    config = replace(CONFIG, world=replace(WORLD, n_shepherds=1))
+    single = gymnasium.make('shepherd_ros/Herding-v0', config=config)
+    many = gymnasium.make_vec('shepherd_ros/Herding-v0', 3, config=config)
+    seen, _ = single.reset(seed=1)
+    expected, _ = many.reset(seed=1)
+    assert (many.num_envs, len(expected)) == (3, 3)
+    for _ in range(7):
+        assert np.array_equal(seen, expected[0])
+        actions = many.action_space.sample()
+        seen, reward, _, ended, info = single.step(actions[0])
+        expected, gained, _, _, told = many.step(actions)
+        assert reward == gained[0]
+    assert ended
+    assert np.array_equal(seen, told['final_obs'][0])
+    assert info['fraction_reached'] == told['final_info']['fraction_reached'][0]
+    with pytest.raises(ConfigError, match='n_shepherds is 2: expected 1; take HerdingVectorEnv'):
+        gymnasium.make('shepherd_ros/Herding-v0', config=CONFIG)
+
+
+def test_the_end_is_told_as_gymnasium_tells_it_in_the_same_step() -> None:
+    env = HerdingVectorEnv(CONFIG, 2)
+    with pytest.raises(ConfigError, match=r'expected reset\(\) before step'):
+        env.step(env.action_space.sample())
+    assert env.autoreset_mode == AutoresetMode.SAME_STEP  # TorchRL's GymWrapper asks for it
+    env.reset(seed=0)
+    for _ in range(7):
+        *_, info = env.step(env.action_space.sample())
+    assert info['_final_obs'].all()
+    assert info['_final_info'].all()
+    names = [name for name in info['final_info'] if name[0] != '_']
+    assert names
+    assert all(info['final_info'][f'_{name}'].all() for name in names)
+
+
+def test_a_step_after_the_end_is_empty_and_one_before_the_start_an_error() -> None:
+    env = HerdingParallelEnv(CONFIG)
+    with pytest.raises(ConfigError, match=r'expected reset\(\) before step'):
+        env.step({})
+    env.reset(seed=0)
+    while env.agents:
+        env.step({name: env.action_space(name).sample() for name in env.agents})
+    assert env.step({}) == ({}, {}, {}, {}, {})
 
 
 def test_wrappers_of_gymnasium_work() -> None:

@@ -131,6 +131,6 @@ def test_the_verbs_write_draw_and_learn_from_them(
 def test_bags_that_are_there_are_not_written_over(tmp_path: Path) -> None:
     driven(tmp_path, 1, 2)
     with pytest.raises(
-        ConfigError, match=r'bag_folder is .*: episode_0+ is there already; choose'
+        ConfigError, match=r'bag_folder is .*: episode_[0-9]+ is there already; choose'
     ):
         driven(tmp_path, 1, 2)

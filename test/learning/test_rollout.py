@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from itertools import product
 
 import pytest
 from shepherd_ros.config import ConfigError
@@ -11,6 +12,7 @@ from shepherd_ros.learning.group import team_reward, WorldGroup
 from shepherd_ros.learning.ppo import PPOConfig, PPOLearner
 from shepherd_ros.learning.rollout import Rollout
 from shepherd_ros.learning.task import draw_environment, TaskConfig
+from shepherd_ros.learning.validation import VALIDATION_SEED
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.env import ShepherdEnv
@@ -19,6 +21,7 @@ from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import ObservationConfig, turned
 from shepherd_ros.sim.presets import home_world
+from shepherd_ros.sim.rng import FIRST_MIXED
 import torch
 from torch import Tensor
 
@@ -58,7 +61,7 @@ def test_inputs_rewards_and_values_are_those_of_the_environment(
         observation=policy.config.observation,
     )
     env = ShepherdEnv(env_config, WORLDS)
-    stack, _ = env.reset(int(group.moment.state.seed[0]))
+    stack, _ = env.reset(group.moment.state.seed.tolist())
     scale = 7.0
     batch, _ = rollout.collect(0.5, 0.0, scale)
     masks = rollout.store.mask[0, rollout.store.before :][:DECISIONS]
@@ -149,6 +152,17 @@ def test_the_same_seed_gives_the_same_training() -> None:
         numbers(one, rollout_of(one), 4), numbers(two, rollout_of(two), 4), strict=True
     ):
         assert torch.equal(a, b)
+
+
+def test_runs_groups_and_episodes_start_apart_and_from_what_is_held_out() -> None:
+    task, seen = replace(TASK, sheep_max=5), set[bytes]()
+    for seed, index, episode in product((0, 1), (0, 1), range(3)):
+        group = Group(task, index, 1500, seed, LidarConfig(n_rays=64))
+        group.episode = episode
+        group.begin(1)
+        assert group.moment.state.seed.min() >= FIRST_MIXED > VALIDATION_SEED
+        seen |= {sheep.numpy().tobytes() for sheep in group.moment.state.sheep}
+    assert len(seen) == 12 * 1500
 
 
 def test_worlds_are_drawn_from_the_task() -> None:

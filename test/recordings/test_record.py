@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from shepherd_ros.cli import main
+from shepherd_ros.cli.record import Record
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.recordings.check import check_bag
 from shepherd_ros.recordings.episodes import iter_episodes
@@ -16,6 +17,7 @@ from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.presets import training_world
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
+import tyro
 
 WORLD = replace(WorldConfig(), n_sheep=6, n_shepherds=2, episode_steps=12)
 WORDS = ['--sheep', '6', '--shepherds', '2', '--steps', '12']
@@ -49,6 +51,14 @@ def test_an_episode_is_the_same_whatever_is_recorded_beside_it(tmp_path: Path) -
     record_episodes(config, controller, range(2, 3), tmp_path / 'b')
     left, right = (open_bag(episode_folder(tmp_path / x, 2)) for x in 'ab')
     assert diff_bags(left, right).equal
+
+
+def test_training_starts_with_as_many_sheep_as_are_asked_for() -> None:
+    def recorded(*words: str) -> int:
+        return tyro.cli(Record, args=['--out', 'x', *words]).environment()[0].world.n_sheep
+
+    assert recorded('--training') == 100
+    assert recorded('--training', '--sheep', '7') == 7
 
 
 def test_teams_of_training_have_topics_for_those_present_only(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from reference import assert_near, assert_same_world, trajectory_metrics, World
+from shepherd_ros.config import ConfigError
 from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
@@ -16,6 +17,7 @@ from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.observation import ObservationConfig
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.reward import reward_terms, RewardConfig
+from shepherd_ros.sim.rng import mixed_seeds
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.transition import step
@@ -210,7 +212,7 @@ def test_a_restarted_world_shows_its_first_reading_in_every_frame_and_counts_ane
     observation, _, _, truncated, _ = advance(env, 3)[-1]
     assert truncated.all()
     fresh = ShepherdEnv(config(3), 2)
-    expected, _ = fresh.reset(seed=6)  # seed + B
+    expected, _ = fresh.reset(env.state.seed.tolist())
     assert same(observation, expected)
     assert same(observation, observation[:, :, :1].expand_as(observation))
     assert_same_world(env.state, fresh.state)
@@ -243,7 +245,7 @@ def test_worlds_that_go_on_are_untouched_when_another_restarts() -> None:
                 assert same(info['final_observation'][b], expected[b])
                 assert_same_world(info['final_state'].world(b), undisturbed.state.world(b))
                 assert int(env.state.step[b]) == 0
-                assert int(env.state.seed[b]) == 50 + b + 3
+                assert int(env.state.seed[b]) == mixed_seeds(3, 50, 1)[b]
         if truncated.any():  # what is kept is that of all worlds, also of those that go on
             going = ~truncated
             assert same(info['final_observation'][going], observation[going])
@@ -259,7 +261,17 @@ def test_seeds_are_those_documented_over_three_episodes() -> None:
     for _ in range(2):
         advance(env, 2)
         seen.append(env.state.seed.tolist())
-    assert seen == [[100, 101, 102], [103, 104, 105], [106, 107, 108]]
+    env.reset()
+    seen.append(env.state.seed.tolist())
+    assert seen == [[100, 101, 102], *(mixed_seeds(3, 100, k).tolist() for k in (1, 2, 3))]
+
+
+def test_what_cannot_be_is_told() -> None:
+    one = ShepherdEnv(config(2), 2)
+    with pytest.raises(ConfigError, match=r'expected reset\(\) before step\(\)'):
+        one.step(torch.zeros(2, 2, 2))
+    with pytest.raises(ConfigError, match=r'seed is \[1\]: expected one, or 2'):
+        one.reset([1])
 
 
 @pytest.mark.parametrize('flock', FLOCKS)
@@ -282,11 +294,10 @@ def test_worlds_together_equal_each_world_alone_bit_for_bit_over_twenty_steps(fl
 
 
 def test_an_episode_is_the_same_whatever_the_number_of_worlds() -> None:
-    # the second episode of world 1 of 3 has seed 7 + 1 + 3
     many, one = ShepherdEnv(config(5), 3), ShepherdEnv(config(5), 1)
     many.reset(seed=7)
     advance(many, 5)
-    one.reset(seed=11)
+    one.reset(seed=int(many.state.seed[1]))
     assert same(many.stack[1], one.stack[0])
     for _ in range(4):
         observation, reward, *_ = many.step(action(many))

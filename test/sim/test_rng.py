@@ -8,7 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
 from reference import assert_near, splitmix_bits
-from shepherd_ros.sim.rng import direction, normal, random_bits, Stream, uniform
+from shepherd_ros.sim.rng import (
+    direction,
+    FIRST_MIXED,
+    mixed_seeds,
+    normal,
+    random_bits,
+    Stream,
+    uniform,
+)
 import torch
 from torch import Tensor
 
@@ -26,6 +34,17 @@ DIRECTION = [
     [0.6348199073102601, -0.7726601356887728],
 ]
 LEAST, MOST = -(2**63), 2**63 - 1
+
+
+def test_mixed_seeds_are_apart_for_every_key_and_the_same_however_many() -> None:
+    keys = [
+        (seed, group, episode) for seed in range(4) for group in range(4) for episode in (0, 1)
+    ]
+    seeds = torch.cat([mixed_seeds(1500, *key) for key in keys])
+    assert len(seeds.unique()) == len(keys) * 1500
+    assert seeds.min() >= FIRST_MIXED  # what is held out has seeds below
+    assert seeds.max() < 2 * FIRST_MIXED
+    assert torch.equal(mixed_seeds(1500, 1, 2)[:7], mixed_seeds(7, 1, 2))
 
 
 def one(value: int) -> Tensor:
