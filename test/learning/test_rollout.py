@@ -157,7 +157,7 @@ def test_the_same_seed_gives_the_same_training() -> None:
 def test_runs_groups_and_episodes_start_apart_and_from_what_is_held_out() -> None:
     task, seen = replace(TASK, sheep_max=5), set[bytes]()
     for seed, index, episode in product((0, 1), (0, 1), range(3)):
-        group = Group(task, index, 1500, seed, LidarConfig(n_rays=64))
+        group = WorldGroup(task, index, 1500, seed, LidarConfig(n_rays=64))
         group.episode = episode
         group.begin(1)
         assert group.moment.state.seed.min() >= FIRST_MIXED > VALIDATION_SEED
