@@ -28,7 +28,6 @@ from shepherd_ros.controllers.formation import (
     way_apart,
     way_round,
 )
-from shepherd_ros.sim.reward import distance_to_rim
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, masked_mean, wrap
 import torch
@@ -107,8 +106,7 @@ NARROW_RING = Ring(-0.15, 3)  # about sheep that never rest
 
 def share_inside(seen: WorldState) -> Tensor:
     """Return the share of the flock in the goal, (..., 1)."""
-    inside = (distance_to_rim(seen) <= 0) & seen.sheep_mask
-    return inside.sum(dim=-1, keepdim=True) / seen.sheep_mask.sum(dim=-1, keepdim=True)
+    return (seen.inside.sum(dim=-1) / seen.flock_size)[..., None]
 
 
 @CONTROLLERS.add
@@ -195,7 +193,7 @@ class DroverController(Controller):
         """Return where a lone shepherd faces the nearest stray, with most of them inside."""
         goal, radius = seen.goal[..., None, :], seen.goal_radius[..., None]
         own = bearing(masked_mean(seen.shepherds, seen.shepherd_mask)[..., None, :] - goal)
-        gap = torch.where(seen.sheep_mask, distance_to_rim(seen), -torch.inf)  # (..., N) m
+        gap = torch.where(seen.sheep_mask, seen.gap, -torch.inf)  # (..., N) m
         outside = gap > self.config.stray_distance
         stray = bearing(seen.sheep - goal)  # (..., N)
         off = torch.where(outside, wrap(stray - own).abs(), torch.inf)

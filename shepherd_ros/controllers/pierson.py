@@ -15,8 +15,8 @@ from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.controllers.base import Controller, CONTROLLERS, Memory, places_on_arc
 from shepherd_ros.controllers.pierson_compiled import pierson_act
 from shepherd_ros.sim.compiled import compilable
-from shepherd_ros.sim.metrics import flock_spread
 from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.tally import flock_spread
 from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, wrap
 import torch
 from torch import Tensor

@@ -30,7 +30,6 @@ from shepherd_ros.sim.flocking import model_of
 from shepherd_ros.sim.observation import turned
 from shepherd_ros.sim.rollout import Moment
 from shepherd_ros.sim.state import WorldState
-from shepherd_ros.sim.vectors import masked_mean
 from shepherd_ros.sim.world import WorldConfig
 import torch
 from torch import Tensor
@@ -122,8 +121,7 @@ class LabelledWorlds:
         if self.home_teacher is None:
             return label
         at_home, self.taught_home = self.home_teacher.act(state, self.taught_home)
-        middle = masked_mean(state.sheep, state.sheep_mask)
-        away = torch.linalg.vector_norm(middle - state.goal, dim=-1) - state.goal_radius
+        away = torch.linalg.vector_norm(state.center - state.goal, dim=-1) - state.goal_radius
         return torch.where((away < self.config.home_distance)[:, None, None], at_home, label)
 
     def _command(self, now: Moment) -> Tensor:

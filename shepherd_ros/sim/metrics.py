@@ -14,7 +14,7 @@ from typing import Any
 from shepherd_ros.config import unknown_name
 from shepherd_ros.registry import Registry
 from shepherd_ros.sim.state import WorldState
-from shepherd_ros.sim.tally import first_tally, flock_spread, MetricsTally, next_tally
+from shepherd_ros.sim.tally import first_tally, MetricsTally, next_tally
 import torch
 from torch import Tensor
 
@@ -107,7 +107,7 @@ def _flock_spread(tally: MetricsTally, state: WorldState, episode_steps: int) ->
 
 def _flock_spread_per_axis(tally: MetricsTally, state: WorldState, episode_steps: int) -> Tensor:
     mean = tally.spread_per_axis / tally.steps.clamp(min=1)
-    return torch.where(tally.steps > 0, mean, flock_spread(state)[1])
+    return torch.where(tally.steps > 0, mean, tally.spread_per_axis_first)
 
 
 _BUILT_IN = (

@@ -9,13 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 from shepherd_ros.config import option
 from shepherd_ros.registry import Extended, Registry
 from shepherd_ros.sim.state import WorldState
-import torch
 from torch import Tensor
 
 REWARD_TERMS: Registry[RewardTerm] = Registry('reward term')
@@ -34,24 +32,14 @@ class RewardConfig(Extended):
     )
 
 
-@dataclass(frozen=True)
-class Step:
+class Step(NamedTuple):
     """A step of worlds (...), and what terms share of it."""
 
     before: WorldState
     after: WorldState
     config: RewardConfig
     episode_steps: int
-
-    @cached_property
-    def gap(self) -> Tensor:
-        """Return the distance of each sheep to the goal's rim, negative inside; (..., N) m."""
-        return distance_to_rim(self.after)
-
-    @cached_property
-    def scale(self) -> Tensor:
-        """Return the number of sheep times steps of an episode, (...)."""
-        return self.after.flock_size * self.episode_steps
+    scale: Tensor  # (...): number of sheep times steps of an episode
 
 
 @dataclass(frozen=True)
@@ -70,12 +58,6 @@ class RewardTerm:
     default: ClassVar[float] = 0.0
 
 
-def distance_to_rim(state: WorldState) -> Tensor:
-    """Return the distance of each sheep to the goal's rim, negative inside; -> (..., N) m."""
-    to_goal = torch.linalg.vector_norm(state.sheep - state.goal[..., None, :], dim=-1)
-    return to_goal - state.goal_radius[..., None]
-
-
 def reward_terms(
     state: WorldState,
     config: RewardConfig,
@@ -87,20 +69,21 @@ def reward_terms(
 
     before is the state that the step began with, by default the same.
     """
-    step = Step(state if before is None else before, state, config, episode_steps)
+    scale = state.flock_size * episode_steps
+    step = Step(state if before is None else before, state, config, episode_steps, scale)
     weights = {'occupancy': config.occupancy, 'shaping': config.shaping} | dict(config.others)
     terms = REWARD_TERMS.loaded()
     return {name: terms[name].value(step, weight) for name, weight in weights.items()}
 
 
 def _occupancy(step: Step, weight: float) -> Tensor:
-    inside = (step.gap <= 0) & step.after.sheep_mask
-    return weight * inside.sum(dim=-1) / step.scale
+    return weight * step.after.inside.sum(dim=-1) / step.scale
 
 
 def _shaping(step: Step, weight: float) -> Tensor:
-    outside = (step.gap > 0) & step.after.sheep_mask
-    distance = (step.gap * outside).sum(dim=-1)
+    gap = step.after.gap
+    outside = (gap > 0) & step.after.sheep_mask
+    distance = (gap * outside).sum(dim=-1)
     ones = outside.any(dim=-1) if step.config.one_per_step else outside.sum(dim=-1)
     return weight * (ones + distance) / step.scale
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 from shepherd_ros.sim.vectors import masked_mean
 import torch
@@ -16,6 +17,7 @@ class WorldState:
 
     Positions are in metres in the world frame. Absent agents (mask False) come after the present
     ones, stand on the goal and move nowhere. At least one sheep and one shepherd are present.
+    Nothing is changed in place: what is derived is computed once.
     """
 
     seed: Tensor  # (...) int64: every random number of the episode follows from it
@@ -28,20 +30,31 @@ class WorldState:
     goal: Tensor  # (..., 2) m
     goal_radius: Tensor  # (...) m
 
-    @property
+    @cached_property
     def center(self) -> Tensor:
         """Return the flock's center of mass, (..., 2) m."""
         return masked_mean(self.sheep, self.sheep_mask)
 
-    @property
+    @cached_property
     def flock_size(self) -> Tensor:
         """Return the number of sheep present, (...) int64."""
         return self.sheep_mask.sum(dim=-1)
 
-    @property
+    @cached_property
     def team_size(self) -> Tensor:
         """Return the number of shepherds present, (...) int64."""
         return self.shepherd_mask.sum(dim=-1)
+
+    @cached_property
+    def gap(self) -> Tensor:
+        """Return the distance of each sheep to the goal's rim, negative inside; (..., N) m."""
+        to_goal = torch.linalg.vector_norm(self.sheep - self.goal[..., None, :], dim=-1)
+        return to_goal - self.goal_radius[..., None]
+
+    @cached_property
+    def inside(self) -> Tensor:
+        """Return which sheep are in the goal, (..., N) bool."""
+        return (self.gap <= 0) & self.sheep_mask
 
     def world(self, index: int | slice | Tensor) -> WorldState:
         """Return part of a batch along its first axis."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 
-from shepherd_ros.sim.reward import distance_to_rim
 from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor
@@ -25,6 +24,7 @@ class MetricsTally:
     spread: Tensor  # sum over steps
     spread_per_axis: Tensor  # sum over steps
     spread_done: Tensor
+    spread_per_axis_first: Tensor  # of the first state
     reached: Tensor  # (..., N) bool
     in_goal: Tensor  # share
     goal_distance: Tensor
@@ -62,17 +62,17 @@ def flock_spread(state: WorldState) -> tuple[Tensor, Tensor]:
     return variance.sum(dim=-1).sqrt(), variance.sqrt().mean(dim=-1)
 
 
-def _inside(state: WorldState) -> tuple[Tensor, Tensor, Tensor]:
-    """Return who is in the goal (..., N), the center's distance (...) m, and if that is inside."""
-    inside = (distance_to_rim(state) <= 0) & state.sheep_mask
+def _home(state: WorldState) -> tuple[Tensor, Tensor]:
+    """Return the distance of the center to the goal's, (...) m, and if that is inside."""
     distance = torch.linalg.vector_norm(state.center - state.goal, dim=-1)
-    return inside, distance, distance <= state.goal_radius
+    return distance, distance <= state.goal_radius
 
 
 def first_tally(state: WorldState) -> MetricsTally:
     """Return the tally at the first state, which counts for all but the mean spread."""
-    inside, distance, completed = _inside(state)
+    distance, completed = _home(state)
     zero = torch.zeros_like(distance)
+    spread, per_axis = flock_spread(state)
     return MetricsTally(
         steps=zero,
         completed=completed,
@@ -83,16 +83,17 @@ def first_tally(state: WorldState) -> MetricsTally:
         flock_path_done=zero,
         spread=zero,
         spread_per_axis=zero,
-        spread_done=flock_spread(state)[0],
-        reached=inside,
-        in_goal=inside.sum(dim=-1) / state.flock_size,
+        spread_done=spread,
+        spread_per_axis_first=per_axis,
+        reached=state.inside,
+        in_goal=state.inside.sum(dim=-1) / state.flock_size,
         goal_distance=distance,
     )
 
 
 def next_tally(tally: MetricsTally, before: WorldState, after: WorldState) -> MetricsTally:
     """Return the tally with one more step, from the true state before it to the one after it."""
-    inside, distance, in_goal = _inside(after)
+    distance, in_goal = _home(after)
     spread, per_axis = flock_spread(after)
     way = torch.linalg.vector_norm(after.shepherds - before.shepherds, dim=-1)
     way = (way * after.shepherd_mask).sum(dim=-1) / after.team_size
@@ -111,8 +112,9 @@ def next_tally(tally: MetricsTally, before: WorldState, after: WorldState) -> Me
         spread=tally.spread + spread,
         spread_per_axis=tally.spread_per_axis + per_axis,
         spread_done=torch.where(done, tally.spread_done, spread),
-        reached=tally.reached | inside,
-        in_goal=inside.sum(dim=-1) / after.flock_size,
+        spread_per_axis_first=tally.spread_per_axis_first,
+        reached=tally.reached | after.inside,
+        in_goal=after.inside.sum(dim=-1) / after.flock_size,
         goal_distance=distance,
         own=dict(tally.own),
     )

@@ -13,7 +13,6 @@ from shepherd_ros.controllers import make_controller
 from shepherd_ros.controllers.base import Memory
 from shepherd_ros.controllers.formation import middle_of_ring, midway
 from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
-from shepherd_ros.sim.reward import distance_to_rim
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import step
@@ -122,7 +121,7 @@ def test_it_remembers_nothing() -> None:
         command, memory = controller.act(state, memory)
         assert torch.equal(command, controller.act(state, controller.begin(state))[0])
         state = step(state, command, world)
-    assert float((distance_to_rim(state) <= 0).float().mean()) > 0.9
+    assert float((state.gap <= 0).float().mean()) > 0.9
 
 
 @pytest.mark.parametrize(('inside', 'home'), [(3, False), (4, True)])
@@ -261,7 +260,7 @@ def test_sheep_that_never_rest_are_kept_near_the_goal_by_one_or_two(shepherds: i
         command, memory = controller.act(state, memory)
         state = step(state, command, world)
         if k >= 400:
-            inside.append((distance_to_rim(state) <= 0).float().mean())
+            inside.append((state.gap <= 0).float().mean())
     # a ring of one or two keeps 0.1 to 0.3
     assert float(torch.stack(inside).mean()) > 0.55
 
@@ -276,7 +275,7 @@ def test_sheep_that_never_rest_are_kept_home_by_a_ring_of_three_and_more() -> No
     for _ in range(600):
         command, memory = controller.act(state, memory)
         state = step(state, command, world)
-    inside = (distance_to_rim(state) <= 0).float().mean(dim=-1)
+    inside = (state.gap <= 0).float().mean(dim=-1)
     assert float((inside > 0.95).float().mean()) >= 0.8
 
 
@@ -292,6 +291,6 @@ def test_a_flock_is_brought_home_and_comes_to_rest() -> None:
         if k >= 400:
             moved = moved + (after.sheep - state.sheep).norm(dim=-1).mean() / 100
         state = after
-    assert float((distance_to_rim(state) <= 0).float().mean()) > 0.98
+    assert float((state.gap <= 0).float().mean()) > 0.98
     # grazing sheep take a random step now and then, driven ones make 1/6 m each time
     assert float(moved) < 1 / 6 / 4

@@ -103,3 +103,10 @@ def test_a_restarted_world_begins_and_the_others_go_on() -> None:
         for name, value in expected.metrics().items():
             assert torch.equal(got.metrics()[name][b], value[b]), name
     assert restart(first(count=False), torch.tensor([True] * 3), fresh.state).tally is None
+
+
+def test_what_follows_from_a_state_is_computed_once() -> None:
+    """The count of a step takes the center before it from the count of the step that led there."""
+    state = advance(first(), COMMAND).state
+    for name in ('center', 'flock_size', 'team_size', 'gap', 'inside'):
+        assert getattr(state, name) is getattr(state, name), name

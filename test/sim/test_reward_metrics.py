@@ -20,15 +20,15 @@ from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
 from shepherd_ros.sim.flocking.strombom import StrombomFlock
 from shepherd_ros.sim.metrics import (
     count_step,
-    flock_spread,
     METRICS,
     metrics,
     MetricsTally,
     PAPER_METRICS,
     start_tally,
 )
-from shepherd_ros.sim.reward import distance_to_rim, reward_terms, RewardConfig
+from shepherd_ros.sim.reward import reward_terms, RewardConfig
 from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.tally import flock_spread
 from shepherd_ros.sim.transition import step
 from shepherd_ros.sim.world import WorldConfig
 import torch
@@ -46,7 +46,7 @@ def test_all_in_earns_the_whole_occupancy_of_a_step_and_no_shaping() -> None:
 def test_one_in_and_two_out_by_hand() -> None:
     # 3-4-5 triangle: 1 m beyond the rim; 8-6-10: 6 m beyond
     state = state_of([[0.0, 1.0], [3.0, 4.0], [-8.0, 6.0]], [[9.0, 9.0]])
-    assert_near(distance_to_rim(state), [-3.0, 1.0, 6.0], 1e-12)
+    assert_near(state.gap, [-3.0, 1.0, 6.0], 1e-12)
     terms = reward_terms(state, RewardConfig(), 100)
     assert set(terms) == {'occupancy', 'shaping'}
     assert_near(terms['occupancy'], 10 * 1 / 300, 1e-12)
