@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import replace
 from functools import cache
 import hashlib
@@ -71,8 +70,8 @@ def checkpoint_hash(name: str) -> str:
 
 
 def loaded(checkpoint: str) -> Policy:
-    """Return the policy of a checkpoint; its weights are shared, its configuration is not."""
-    return copy(_read(checkpoint, _written(checkpoint))[0])
+    """Return the policy of a checkpoint; whoever asks for it gets the same one."""
+    return _read(checkpoint, _written(checkpoint))[0]
 
 
 def _written(checkpoint: str) -> int:
@@ -131,7 +130,7 @@ def method_in(config: EnvConfig, name: str, any_dt: bool = False, **options: Any
         return make_controller(name, config.world, **options)
     policy = loaded(checkpoint)
     if any_dt:
-        policy.config = replace(policy.config, dt=config.world.dt)
+        policy = policy.with_config(replace(policy.config, dt=config.world.dt))
     learned = LearnedConfig(checkpoint=checkpoint, **options)
     faults, rays = config.lidar.changes(), config.lidar.n_rays
     if not faults:

@@ -61,7 +61,7 @@ class Training:
         """Go on in a stage, with new worlds."""
         config = self.config
         self.progress['stage'] = stage
-        self.policy.pace(self.stages[stage])
+        self.policy = self.learner.policy = self.policy.with_config(self.stages[stage])
         self.rollout = Rollout(
             config.task,
             self.policy,
@@ -121,7 +121,7 @@ def train_ppo(
     on_line: Callable[[dict[str, Any]], None] = lambda line: None,
 ) -> Policy:
     """
-    Learn until the samples are used up; return the policy, which is changed in place.
+    Learn until the samples are used up; return the policy, whose weights change in place.
 
     What is judged and kept is a running mean of the weights, which is steadier than the newest.
     The run's folder holds the state after each evaluation, and training goes on from there with
@@ -156,7 +156,7 @@ def train_ppo(
         if rank() == 0:
             run.write(line)
             on_line(line)
-    return policy
+    return training.policy
 
 
 def check_together(updates: int, run: RunFolder) -> None:

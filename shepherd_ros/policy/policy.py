@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 from shepherd_ros.config import Config, ConfigError, option, part
@@ -53,24 +54,27 @@ class PolicyConfig(Config):
 class Policy(nn.Module):
     """Actor and critic with their configuration; both read the same input."""
 
-    def __init__(self, config: PolicyConfig) -> None:
-        """Make networks with random weights from torch's generator."""
+    def __init__(
+        self, config: PolicyConfig, actor: Actor | None = None, critic: Critic | None = None
+    ) -> None:
+        """Take the networks, or make them with random weights from torch's generator."""
         super().__init__()
         self.config = config
         types, n_rays = config.lidar.layout.shape
         shape = input_shape(config.observation, n_rays, types)
-        self.actor = Actor(shape, config.network)
-        self.critic = Critic(shape, config.network)
+        self.actor = actor or Actor(shape, config.network)
+        self.critic = critic or Critic(shape, config.network)
 
     @property
     def device(self) -> torch.device:
         """Return where the networks are."""
         return next(self.parameters()).device
 
-    def pace(self, config: PolicyConfig) -> None:
-        """Go on with another time that actions are held and other limits of their spread."""
-        self.config = config
-        self.actor.config = config.network
+    def with_config(self, config: PolicyConfig) -> Policy:
+        """Return a policy with these very weights and other times or limits of spread."""
+        actor = copy(self.actor)
+        actor.config = config.network
+        return Policy(config, actor, self.critic)
 
     def scaled(self, ranges: Tensor) -> Tensor:
         """Return ranges (...) m as the network sees them, before they are arranged."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import pytest
@@ -138,3 +139,20 @@ def test_sizes_that_do_not_fit_are_refused() -> None:
         PolicyConfig(network=NetworkConfig(padding='circular'))
     with pytest.raises(ConfigError, match='expected 79 or more'):
         Body((3, 78), NetworkConfig())
+
+
+def test_a_policy_with_another_configuration_shares_weights_and_leaves_the_first_alone() -> (
+    None
+):
+    config = PolicyConfig(network=NetworkConfig(filters_1=3, filters_2=5, hidden=7))
+    policy = Policy(config)
+    wide = replace(config, dt=0.1, network=replace(config.network, min_std=1.2, max_std=1.3))
+    other = policy.with_config(wide)
+    assert (policy.config, policy.actor.config) == (config, config.network)
+    assert (other.config, other.actor.config) == (wide, wide.network)
+    for name, mine in policy.named_parameters():
+        assert other.get_parameter(name) is mine
+    x = sparse_input(4, PAPER)
+    (mean, std), (other_mean, other_std) = policy.actor(x), other.actor(x)
+    assert torch.equal(mean, other_mean)
+    assert torch.equal(other_std, std.clamp(1.2, 1.3))
