@@ -93,7 +93,7 @@ def parameter_file(name: str) -> str:
         f'/**/{name}:',
         '  ros__parameters:',
     ]
-    for key in sorted(node._parameters):
+    for key in sorted(node.list_parameters([], 0).names):
         text = node.describe_parameter(key).description
         if text and key not in ('use_sim_time', 'start_type_description_service'):
             value = parameter_value_to_python(node.get_parameter(key).get_parameter_value())

@@ -98,7 +98,7 @@ def parameters() -> str:
         with quiet_node(name) as node:
             names = sorted(
                 n
-                for n in node._parameters
+                for n in node.list_parameters([], 0).names
                 if n not in HIDDEN and node.describe_parameter(n).description
             )
             rows = [_parameter_row(node, n) for n in names]

@@ -6,16 +6,13 @@ from dataclasses import replace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
-from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes.flock_commands import FlockCommands
 from shepherd_ros.nodes.flock_pacing import Pacing
-from shepherd_ros.nodes.flock_parameters import declare_world
+from shepherd_ros.nodes.flock_parameters import check_changes, check_rate, declare_world
 from shepherd_ros.nodes.flock_publishers import WorldOutput
 from shepherd_ros.nodes.flock_requests import FlockRequests
 from shepherd_ros.ros.node import OK, ShepherdNode, WARN
-from shepherd_ros.ros.parameters import declare
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.sim import compiled
 from shepherd_ros.sim.limits import MAX_SEED
@@ -27,17 +24,8 @@ from shepherd_ros.wire.topics import SHEEP_POSES, SHEPHERD_POSES
 import torch
 from torch import Tensor
 
-LOWEST_RATE = 0.001  # [1/s]
 WATCH_PERIOD = 0.05  # [s] wall time between two looks at who is silent
 PAUSED_RESEND = 1.0  # [s] wall time after which a paused world shows its state again
-
-
-def check_rate(rate: float) -> None:
-    """Refuse a rate at which no step would be made in a quarter of an hour."""
-    if 0 < rate < LOWEST_RATE:
-        raise ConfigError(
-            f'rate is {rate}: expected 0, or at least {LOWEST_RATE} steps per second'
-        )
 
 
 class FlockSim(ShepherdNode):
@@ -54,16 +42,16 @@ class FlockSim(ShepherdNode):
         compiled.start_numba()
         super().__init__('flock_sim', **kwargs)
         self.world = declare_world(self)
-        self.seed: int = self.option(
-            'seed', 0, 'seed of the first episode; the next has seed + 1',
-            low=-MAX_SEED, high=MAX_SEED,
+        self.next_seed: int = self.option(
+            'seed', 0, 'seed of the next episode once it is set; each after it has 1 more',
+            read_only=False, low=-MAX_SEED, high=MAX_SEED,
         )  # fmt: skip
+        self.option('step_size', 1, 'steps that ~/step makes', read_only=False, low=1)
         self.episodes: int = self.option('episodes', 0, 'episodes to run; 0: without end', low=0)
         self.mode: str = self.option('mode', 'lockstep', 'how the world advances', choices=MODES)
-        self.rate: float = declare(
-            self, 'rate', 0.0,
-            {'doc': 'steps per second of wall time in realtime; 0: 1/dt', 'low': 0.0,
-             'high': 10_000.0}, read_only=False,
+        self.rate: float = self.option(
+            'rate', 0.0, 'steps per second of wall time in realtime; 0: 1/dt',
+            read_only=False, low=0.0, high=10_000.0,
         )  # fmt: skip
         check_rate(self.rate)
         self.resend: float = self.option(
@@ -73,7 +61,6 @@ class FlockSim(ShepherdNode):
             'silence_warning', 2.0, 'lockstep: name a silent shepherd after [s]', low=0.1
         )
         self.number = -1
-        self.next_seed = self.seed
         self.dt_ns = round(self.world.dt * 1e9)
         self.now_ns = 0
         self.pending_goal: Tensor | None = None
@@ -88,7 +75,8 @@ class FlockSim(ShepherdNode):
         self.begin_episode()
         self.ticker = self.timer(self.period, self.on_tick) if self.mode == 'realtime' else None
         self.timer(WATCH_PERIOD, self.watch)
-        self.add_on_set_parameters_callback(self.on_parameters)
+        self.add_on_set_parameters_callback(check_changes)
+        self.add_post_set_parameters_callback(self.take_parameters)
 
     @property
     def period(self) -> float:
@@ -102,9 +90,9 @@ class FlockSim(ShepherdNode):
 
     # ---- the course of an episode ----
 
-    def begin_episode(self, seed: int | None = None) -> Episode:
-        """Start the next episode, with the next seed or a given one, and return it."""
-        seed = self.next_seed if seed is None else seed
+    def begin_episode(self) -> Episode:
+        """Start the next episode and return it."""
+        seed = self.next_seed
         self.next_seed, self.number = seed + 1, self.number + 1
         self.now_ns += self.dt_ns
         state = spawn(self.world, torch.tensor(seed))
@@ -215,18 +203,15 @@ class FlockSim(ShepherdNode):
 
     # ---- parameters and diagnostics ----
 
-    def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Take a new rate; every other parameter is read-only."""
+    def take_parameters(self, parameters: list[Parameter]) -> None:
+        """Go on at a new rate, or with a new seed from the next episode on."""
         for parameter in parameters:
-            if parameter.name == 'rate':
-                try:
-                    check_rate(parameter.value)
-                except ConfigError as error:
-                    return SetParametersResult(successful=False, reason=str(error))
+            if parameter.name == 'seed':
+                self.next_seed = parameter.value
+            elif parameter.name == 'rate':
                 self.rate = parameter.value
                 if self.ticker is not None:
                     self.ticker.timer_period_ns = round(self.period * 1e9)
-        return SetParametersResult(successful=True)
 
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return how the episode goes and what is wrong with commands."""

@@ -9,11 +9,8 @@ from threading import Event, Lock, Thread
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rcl_interfaces.msg import SetParametersResult
-from rcl_interfaces.srv import SetParameters
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
-from rclpy.parameter import parameter_value_to_python
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.validate_full_topic_name import validate_full_topic_name
@@ -27,7 +24,7 @@ from shepherd_ros.rosbag2.reader import BagMessage, open_bag
 from shepherd_ros.wire.contract import installed_hash, text_hash
 from shepherd_ros.wire.encode import encode_clock
 from shepherd_ros.wire.topics import CLOCK
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 NS_PER_SECOND = 1_000_000_000  # [ns]
 PLAYER_ACK_TIMEOUT = 4.0  # [s] for readers to miss what did not arrive: DDS asks them every 3 s
@@ -82,7 +79,8 @@ class Player(ShepherdNode):
         self.lock, self.stopped, self.woken = Lock(), Event(), Event()
         self.failure = ''
         self.create_service(SetBool, '~/pause', self.pause)
-        self.create_service(SetParameters, '~/step', self.step)
+        self.option('step_size', 1, 'messages that ~/step plays', read_only=False, low=1)
+        self.create_service(Trigger, '~/step', self.step)
         self.thread = Thread(target=self.play, daemon=True)
         self.thread.start()
 
@@ -220,20 +218,13 @@ class Player(ShepherdNode):
         return response
 
     def step(self, request: Any, response: Any) -> Any:
-        """Play n messages (integer, 1 by default), then pause."""
-        given = {p.name: parameter_value_to_python(p.value) for p in request.parameters}
-        n = given.pop('n', 1)
-        good = not given and type(n) is int and n > 0
-        if good:
-            self.running.clear()
-            with self.lock:
-                self.steps += n
-            self.woken.set()
-        reason = f'{n} messages, then paused' if good else (
-            f'step: argument {given or n!r}: expected n, an integer of at least 1'
-        )  # fmt: skip
-        result = SetParametersResult(successful=good, reason=reason)
-        response.results = [result] * max(len(request.parameters), 1)
+        """Play as many messages as parameter step_size says, then pause."""
+        n = self.get_parameter('step_size').value
+        self.running.clear()
+        with self.lock:
+            self.steps += n
+        self.woken.set()
+        response.success, response.message = True, f'{n} messages, then paused'
         return response
 
     def diagnose(self) -> list[DiagnosticStatus]:

@@ -11,13 +11,12 @@ from typing import Any, ClassVar
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from shepherd_ros import __version__
 from shepherd_ros.ros.intra_process import IntraProcessPublisher, IntraProcessTransport, Output
-from shepherd_ros.ros.parameters import declare
+from shepherd_ros.ros.parameters import declare, ParameterNode
 from shepherd_ros.wire.decode import CdrError, DECODERS
 from shepherd_ros.wire.topics import contract, row_of, WORLD_FRAME
 
@@ -42,7 +41,7 @@ def quality(topic: str, subscribe: bool = False) -> QoSProfile:
     )
 
 
-class ShepherdNode(Node):
+class ShepherdNode(ParameterNode):
     """A node with topics from the contract and a report on /diagnostics every second."""
 
     backlog: ClassVar[int] = 0  # messages that wait for it at least, if that is more than usual
@@ -64,9 +63,11 @@ class ShepherdNode(Node):
         self._diagnostics = self.advertise('/diagnostics')
         self.timer(1.0, self.publish_diagnostics)
 
-    def option(self, name: str, default: Any, doc: str, **limits: Any) -> Any:
-        """Declare one read-only parameter and return its value."""
-        return declare(self, name, default, {'doc': doc, **limits})
+    def option(
+        self, name: str, default: Any, doc: str, read_only: bool = True, **limits: Any
+    ) -> Any:
+        """Declare one parameter and return its value."""
+        return declare(self, name, default, {'doc': doc, **limits}, read_only)
 
     def advertise(self, topic: str, shepherd: int | None = None, kind: str = '') -> Output:
         """Return a publisher of a topic of the contract; kind is its alternative type."""

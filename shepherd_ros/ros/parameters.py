@@ -17,6 +17,28 @@ _LARGEST_INT = 2**62
 _LARGEST_FLOAT = 1e12
 
 
+class ParameterNode(Node):
+    """A node that keeps what the user set, so that it is checked before it is declared."""
+
+    given: dict[str, Any] | None = None  # by name; None for an empty list
+
+    def __init__(self, name: str, **kwargs: Any) -> None:
+        """Create the node; the arguments are those of rclpy's Node."""
+        super().__init__(name, automatically_declare_parameters_from_overrides=True, **kwargs)
+
+    def declare_parameters(
+        self, namespace: str, parameters: list[Any], ignore_override: bool = False
+    ) -> list[Any]:
+        """Declare parameters; keep those that rclpy offers first, which the user set."""
+        if self.given is None:
+            self.given = {
+                name: list(value) if isinstance(value, array) else value
+                for name, value, _ in parameters
+            }
+            return []
+        return list(super().declare_parameters(namespace, parameters, ignore_override))
+
+
 def descriptor(default: Any, option: Mapping[str, Any], read_only: bool) -> ParameterDescriptor:
     """Return description and range of a parameter, as `ros2 param describe` shows them."""
     result = ParameterDescriptor(description=option['doc'], read_only=read_only)
@@ -35,14 +57,6 @@ def descriptor(default: Any, option: Mapping[str, Any], read_only: bool) -> Para
     return result
 
 
-def given(node: Node, name: str) -> Any:
-    """Return what the user set a parameter to, None if nothing."""
-    parameter = node._parameter_overrides.get(name)
-    if parameter is None:
-        return None
-    return list(parameter.value) if isinstance(parameter.value, array) else parameter.value
-
-
 def _listed(name: str, value: Any, default: Any) -> Any:
     """Return the value; ConfigError if it is empty or a list of another type than the default."""
     if value is None:  # what rcl makes of []
@@ -57,39 +71,36 @@ def _listed(name: str, value: Any, default: Any) -> Any:
 
 
 def declare(
-    node: Node, name: str, default: Any, option: Mapping[str, Any], read_only: bool = True
+    node: ParameterNode, name: str, default: Any, option: Mapping[str, Any], read_only: bool = True
 ) -> Any:
     """Declare one parameter and return its value; ConfigError names a bad one and the fix."""
-    if name not in node._parameter_overrides:
-        value = default
-    else:
-        value = checked(name, _listed(name, given(node, name), default), default, option)
+    value = default
+    if node.given and name in node.given:
+        value = checked(name, _listed(name, node.given[name], default), default, option)
     described = descriptor(default, option, read_only)
     node.declare_parameter(name, value, described, ignore_override=True)
     return value
 
 
-def declare_config(
-    node: Node, config: _C, prefix: str = '', skip: tuple[str, ...] = (), read_only: bool = True
-) -> _C:
+def declare_config(node: ParameterNode, config: _C, prefix: str = '') -> _C:
     """Declare a parameter for each option of a configuration; return it as the user wants it."""
     values = {f.name: getattr(config, f.name) for f in fields(config)}
     for f in fields(config):
-        if 'doc' in f.metadata and f.name not in skip:
-            values[f.name] = declare(node, prefix + f.name, values[f.name], f.metadata, read_only)
+        if 'doc' in f.metadata:
+            values[f.name] = declare(node, prefix + f.name, values[f.name], f.metadata)
     if added := config.added():
         values['others'] = tuple(
-            (name, declare(node, prefix + name, value, metadata, read_only))
+            (name, declare(node, prefix + name, value, metadata))
             for name, (value, metadata) in added.items()
         )
     return type(config)(**values)
 
 
-def warn_of_unknown(node: Node) -> None:
+def warn_of_unknown(node: ParameterNode) -> None:
     """Warn of parameters that were given but that this node does not have: most likely typos."""
-    known = list(node._parameters)
-    for name in node._parameter_overrides:
-        if name not in node._parameters:
+    known = node.list_parameters([], 0).names
+    for name in node.given or ():
+        if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
             hint = f'; did you mean {near[0]}?' if near else ''
             node.get_logger().warning(f'parameter {name} is not known to this node{hint}')

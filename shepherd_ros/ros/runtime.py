@@ -67,7 +67,7 @@ def spin(nodes: Sequence[ShepherdNode], until: Callable[[], bool] = lambda: Fals
 def help_text(node: ShepherdNode, doc: str) -> str:
     """Return what a node does and its parameters with their defaults."""
     lines = [doc.strip(), '', 'Parameters (--ros-args -p name:=value, or --params-file FILE):']
-    for name in sorted(node._parameters):
+    for name in sorted(node.list_parameters([], 0).names):
         described = node.describe_parameter(name)
         value = parameter_value_to_python(node.get_parameter(name).get_parameter_value())
         if described.description and not name.startswith(('qos_overrides', 'start_type_desc')):

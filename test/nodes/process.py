@@ -48,6 +48,7 @@ from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.presets import world_preset
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.state import WorldState
+from std_srvs.srv import Trigger
 import torch
 from torch import Tensor
 
@@ -414,12 +415,28 @@ class Graph:
         self.node.destroy_client(client)
         return answer
 
-    def call_named(self, name: str, **arguments: Any) -> list[tuple[bool, str]]:
-        """Return success and reason of each result of a service with named arguments."""
-        parameters = [Parameter(k, value=v).to_parameter_msg() for k, v in arguments.items()]
-        request = SetParameters.Request(parameters=parameters)
-        answer = self.call(name, SetParameters, request)
-        return [(result.successful, result.reason) for result in answer.results]
+    def trigger(self, name: str) -> str:
+        """Return what a service without arguments answers."""
+        answer = self.call(name, Trigger, Trigger.Request())
+        assert answer.success, answer.message
+        return str(answer.message)
+
+    def set_parameter(self, node: str, name: str, value: Any) -> tuple[bool, str]:
+        """Return whether a node has taken a new value of a parameter, and why not."""
+        parameter = Parameter(name, value=value).to_parameter_msg()
+        request = SetParameters.Request(parameters=[parameter])
+        (result,) = self.call(f'{node}/set_parameters', SetParameters, request).results
+        return result.successful, result.reason
+
+    def reset(self, seed: int | None = None) -> str:
+        """Return what flock_sim answers to a reset, with the next seed or a given one."""
+        assert seed is None or self.set_parameter('flock_sim', 'seed', seed) == (True, '')
+        return self.trigger('flock_sim/reset')
+
+    def steps(self, n: int) -> str:
+        """Return what flock_sim answers when it is asked for so many steps."""
+        assert self.set_parameter('flock_sim', 'step_size', n) == (True, '')
+        return self.trigger('flock_sim/step')
 
 
 def twist(ns: int, x: float, y: float, frame_id: str = 'map') -> TwistStamped:

@@ -89,7 +89,7 @@ def run_until(graph: Graph, stop: Callable[[Process], None]) -> tuple[Track, Pro
     track = graph.track()
     sim = graph.start('flock_sim', **SMALL, **QUICK)
     graph.until(lambda: track.stamps, 'the first state')
-    graph.call_named('flock_sim/step', n=5)  # so that it cannot be over before it is stopped
+    graph.steps(5)  # so that it cannot be over before it is stopped
     controller = graph.start('strombom')
     graph.until(lambda: len(track.stamps) > 5, 'five steps')
     stop(controller)

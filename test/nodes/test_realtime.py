@@ -39,9 +39,9 @@ def test_the_world_keeps_its_rate_without_any_controller_and_takes_a_new_one(
     track = graph.track()
     graph.host('flock_sim', rate=50.0, **SMALL)
     assert_pace(graph, track, 50, 1.0)
-    assert graph.call_named('flock_sim/set_parameters', rate=200.0) == [(True, '')]
+    assert graph.set_parameter('flock_sim', 'rate', 200.0) == (True, '')
     assert_pace(graph, track, 100, 0.5)
-    assert graph.call_named('flock_sim/set_parameters', rate=10.0) == [(True, '')]
+    assert graph.set_parameter('flock_sim', 'rate', 10.0) == (True, '')
     assert_pace(graph, track, 10, 1.0)
 
 
@@ -58,29 +58,24 @@ def test_a_rate_given_as_an_integer_works(graph: Graph) -> None:
     sim = graph.host('flock_sim', rate=40, **SMALL)
     assert sim.period == 0.025
     assert_pace(graph, track, 20, 0.5)
-    graph.call_named('flock_sim/set_parameters', rate=80.0)
+    graph.set_parameter('flock_sim', 'rate', 80.0)
     assert sim.period == 0.0125
 
 
-@pytest.mark.parametrize(
-    ('given', 'pattern'),
-    [
-        ({'rate': float('nan')}, 'range'),
-        ({'rate': -1.0}, 'range'),
-        ({'rate': 1e9}, 'range'),
-        ({'rate': 1e-300}, 'rate is 1e-300: expected 0, or at least'),
-        ({'rate': 'fast'}, "expected 'Type.DOUBLE' got 'Type.STRING'"),
-        ({'rate': 20}, "expected 'Type.DOUBLE' got 'Type.INTEGER'"),
-    ],
-)
-def test_a_rate_that_cannot_be_is_refused_and_the_world_goes_on(
-    graph: Graph, given: dict[str, Any], pattern: str
-) -> None:
+def test_a_rate_that_cannot_be_is_refused_and_the_world_goes_on(graph: Graph) -> None:
     track = graph.track()
     sim = graph.host('flock_sim', rate=50.0, **SMALL)
-    ((success, reason),) = graph.call_named('flock_sim/set_parameters', **given)
-    assert not success
-    assert pattern in reason
+    for value, pattern in (
+        (float('nan'), 'range'),
+        (-1.0, 'range'),
+        (1e9, 'range'),
+        (1e-300, 'rate is 1e-300: expected 0, or at least'),
+        ('fast', "expected 'Type.DOUBLE' got 'Type.STRING'"),
+        (20, "expected 'Type.DOUBLE' got 'Type.INTEGER'"),
+    ):
+        taken, reason = graph.set_parameter('flock_sim', 'rate', value)
+        assert not taken
+        assert pattern in reason
     assert sim.rate == 50.0
     assert_pace(graph, track, 10, 0.2)
 

@@ -24,7 +24,6 @@ from mcap.stream_reader import StreamReader
 from nodes.process import BEST_EFFORT, Graph, LATCHED, Process, RELIABLE, rollout, until
 import numpy as np
 import pytest
-from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rosbag2.tiny import (
     cdr,
@@ -750,9 +749,8 @@ def test_late_readers_get_what_is_latched(room: Graph, tmp_path: Path) -> None:
         room.until(lambda: room.node.count_publishers('/flock/poses'), 'the player')
         assert not poses
         room.idle(0.2)
-        step = SetParameters.Request(parameters=[_integer('n', 3)])
-        (result,) = room.call('/player/step', SetParameters, step).results
-        assert result.successful
+        assert room.set_parameter('/player', 'step_size', 3) == (True, '')
+        assert room.trigger('/player/step') == '3 messages, then paused'
         room.idle(0.5)
         with hearing(room, '/episode', String, LATCHED) as episodes:
             room.until(lambda: episodes, 'the episode, which was played before')
@@ -766,17 +764,14 @@ def test_step_plays_as_many_as_asked_for(room: Graph, tmp_path: Path) -> None:
     with hearing(room, '/metrics/flock_spread', Float64) as heard:
         player = room.start_words('player', [str(bag), '-p', '--wait', '10'])
         for n, total in ((1, 1), (7, 8), (2, 10)):
-            step = SetParameters.Request(parameters=[_integer('n', n)])
-            (result,) = room.call('/player/step', SetParameters, step).results
-            assert result.successful, result.reason
+            assert n == 1 or room.set_parameter('/player', 'step_size', n) == (True, '')
+            assert room.trigger('/player/step') == f'{n} messages, then paused'
             room.until(lambda total=total: len(heard) == total, f'{total} messages')
             room.idle(0.15)
             assert len(heard) == total
-        for wrong in (_integer('n', 0), _integer('m', 1)):
-            step = SetParameters.Request(parameters=[wrong])
-            (result,) = room.call('/player/step', SetParameters, step).results
-            assert not result.successful
-            assert 'expected n, an integer of at least 1' in result.reason
+        taken, reason = room.set_parameter('/player', 'step_size', 0)
+        assert not taken
+        assert 'step_size out of range' in reason
         assert len(heard) == 10
         assert player.stop() == 0, player
         assert '10 messages of 1 topics' in player.text

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-import re
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
@@ -51,7 +50,7 @@ def pose_of(x: float, y: float, frame_id: str = 'map') -> PoseStamped:
 
 def test_a_reset_without_seed_starts_the_next_episode(graph: Graph, sim: Any) -> None:
     first = sim.episode
-    assert graph.call_named('flock_sim/reset') == [(True, 'episode 1, seed 1')]
+    assert graph.reset() == 'episode 1, seed 1'
     assert (sim.episode.number, sim.episode.seed) == (1, 1)
     assert sim.episode.start_ns > first.start_ns
     graph.until(lambda: int(sim.state.step) > 2, 'the new episode moves')
@@ -63,7 +62,7 @@ def test_a_reset_with_a_seed_starts_that_episode_and_the_next_has_the_seed_after
     pause(graph, True)
     track = graph.track()
     told = graph.collect('episode', String, LATCHED)
-    assert graph.call_named('flock_sim/reset', seed=41) == [(True, 'episode 1, seed 41')]
+    assert graph.reset(41) == 'episode 1, seed 41'
     graph.until(lambda: track.stamps and sim.now_ns in track.stamps, 'the new first state')
     world = WorldConfig(**SMALL)
     fresh = spawn(world, torch.tensor(41))
@@ -72,14 +71,15 @@ def test_a_reset_with_a_seed_starts_that_episode_and_the_next_has_the_seed_after
     graph.until(lambda: told and Episode.from_json(told[-1].data).number == 1, 'its description')
     assert Episode.from_json(told[-1].data) == sim.episode
     assert (sim.episode.seed, sim.episode.world) == (41, world.to_dict())
-    assert graph.call_named('flock_sim/reset') == [(True, 'episode 2, seed 42')]
-    assert graph.call_named('flock_sim/reset', seed=-5) == [(True, 'episode 3, seed -5')]
+    assert graph.reset() == 'episode 2, seed 42'
+    assert graph.reset(-5) == 'episode 3, seed -5'
+    assert graph.reset(-5) == 'episode 4, seed -5'
 
 
 def test_a_late_subscriber_is_told_the_running_episode_and_the_goal(
     graph: Graph, sim: Any
 ) -> None:
-    graph.call_named('flock_sim/reset', seed=9)
+    graph.reset(9)
     told = graph.collect('episode', String, LATCHED)
     goals = graph.collect('goal', PoseStamped, LATCHED)
     graph.until(lambda: told and goals, 'episode and goal')
@@ -107,11 +107,12 @@ def test_a_paused_world_stands_until_it_may_go_on(graph: Graph, sim: Any) -> Non
 
 def test_step_makes_so_many_steps_and_no_more(graph: Graph, sim: Any) -> None:
     pause(graph, True)
-    for arguments, n in (({'n': 3}, 3), ({}, 1), ({'n': 1}, 1), ({'n': 20}, 20)):
+    assert graph.trigger('flock_sim/step') == '1 steps, then paused'
+    graph.until(lambda: sim.pacing.steps_left == 0, 'one step')
+    for n in (3, 1, 20):
         graph.until(lambda: sim.flock_commands.complete, 'the answers to the state that stands')
         before = sim.now_ns
-        answer = graph.call_named('flock_sim/step', **arguments)
-        assert answer == [(True, f'{n} steps, then paused')]
+        assert graph.steps(n) == f'{n} steps, then paused'
         graph.until(
             lambda goal=before + n * sim.dt_ns: sim.now_ns >= goal and sim.flock_commands.complete,
             f'{n} steps',
@@ -121,7 +122,7 @@ def test_step_makes_so_many_steps_and_no_more(graph: Graph, sim: Any) -> None:
 
 
 def test_step_pauses_a_running_world(graph: Graph, sim: Any) -> None:
-    graph.call_named('flock_sim/step', n=2)
+    graph.steps(2)
     graph.until(lambda: sim.pacing.steps_left == 0 and sim.flock_commands.complete, 'two steps')
     assert sim.pacing.paused
     now = sim.now_ns
@@ -136,7 +137,7 @@ def test_a_world_in_realtime_can_be_paused_and_stepped_too(graph: Graph) -> None
     now = sim.now_ns
     graph.idle(0.1)
     assert sim.now_ns == now
-    graph.call_named('flock_sim/step', n=5)
+    graph.steps(5)
     graph.until(lambda: sim.pacing.steps_left == 0, 'five steps')
     graph.idle(0.1)
     assert sim.now_ns == now + 5 * sim.dt_ns
@@ -147,19 +148,18 @@ def test_a_world_in_realtime_can_be_paused_and_stepped_too(graph: Graph) -> None
 # --- goal ---------------------------------------------------------------------------------------
 
 
-def test_move_goal_moves_the_goal_of_a_paused_world_at_once(graph: Graph, sim: Any) -> None:
+def test_goal_pose_moves_the_goal_of_a_paused_world_at_once(graph: Graph, sim: Any) -> None:
     pause(graph, True)
     goals = graph.collect('goal', PoseStamped, LATCHED)
-    answer = graph.call_named('flock_sim/move_goal', x=3.5, y=-4)
-    assert answer == [(True, 'goal moves to 3.5, -4 m')] * 2
-    assert sim.state.goal.tolist() == [3.5, -4.0]
+    graph.publisher('goal_pose', PoseStamped).publish(pose_of(3.5, -4.0))
     graph.until(lambda: goals and goals[-1].pose.position.x == 3.5, 'the goal is told')
+    assert sim.state.goal.tolist() == [3.5, -4.0]
     assert nanoseconds(goals[-1].header.stamp) == sim.now_ns
     assert goals[-1].header.frame_id == 'map'
 
 
-def goal_moves_with_the_next_state(graph: Graph, sim: Any, move: Any) -> None:
-    """Assert that a goal moved between two states is told with the second."""
+def test_goal_pose_moves_the_goal_in_the_next_state(graph: Graph, sim: Any) -> None:
+    publisher = graph.publisher('goal_pose', PoseStamped)
     goals = graph.collect('goal', PoseStamped, LATCHED)
     seen: list[tuple[int, list[float]]] = []
     original = sim.publish_state
@@ -169,27 +169,17 @@ def goal_moves_with_the_next_state(graph: Graph, sim: Any, move: Any) -> None:
         original(again)
 
     sim.publish_state = publish_state
-    move()
+    publisher.publish(pose_of(7.0, 8.0))
     graph.until(lambda: seen and seen[-1][1] == [7.0, 8.0], 'a state with the new goal')
     graph.until(lambda: goals and goals[-1].pose.position.x == 7.0, 'the goal is told')
     first = next(ns for ns, goal in seen if goal == [7.0, 8.0])
     assert nanoseconds(goals[-1].header.stamp) == first
 
 
-def test_goal_pose_moves_the_goal_in_the_next_state(graph: Graph, sim: Any) -> None:
-    publisher = graph.publisher('goal_pose', PoseStamped)
-    goal_moves_with_the_next_state(graph, sim, lambda: publisher.publish(pose_of(7.0, 8.0)))
-
-
-def test_move_goal_moves_the_goal_in_the_next_state(graph: Graph, sim: Any) -> None:
-    goal_moves_with_the_next_state(
-        graph, sim, lambda: graph.call_named('flock_sim/move_goal', x=7.0, y=8.0)
-    )
-
-
 def test_a_reset_puts_the_goal_back_to_where_episodes_have_it(graph: Graph, sim: Any) -> None:
-    graph.call_named('flock_sim/move_goal', x=7.0, y=8.0)
-    graph.call_named('flock_sim/reset')
+    graph.publisher('goal_pose', PoseStamped).publish(pose_of(7.0, 8.0))
+    graph.until(lambda: sim.state.goal.tolist() == [7.0, 8.0], 'the goal moves')
+    graph.reset()
     assert sim.state.goal.tolist() == [0.0, 0.0]
 
 
@@ -264,39 +254,22 @@ def test_a_goal_pose_that_cannot_be_used_is_refused_with_a_warning(
     assert sim.state.goal.tolist() == [0.0, 0.0]
 
 
-# --- arguments that cannot be -------------------------------------------------------------------
-
-BAD = {
-    'reset with text': ('reset', {'seed': 'seven'}, "reset: argument seed is 'seven': .* int"),
-    'reset with a float': ('reset', {'seed': 1.5}, 'reset: argument seed is 1.5: expected int'),
-    'reset with a truth': ('reset', {'seed': True}, 'argument seed is True: expected int'),
-    'reset with a huge seed': ('reset', {'seed': 2**63 - 1}, 'seed is 9223.*: expected at most'),
-    'reset with another name': ('reset', {'sead': 1}, "reset: argument 'sead': expected seed"),
-    'no steps': ('step', {'n': 0}, 'step: n is 0: expected at least 1'),
-    'negative steps': ('step', {'n': -2}, 'step: n is -2: expected at least 1'),
-    'half a step': ('step', {'n': 0.5}, 'step: argument n is 0.5: expected int'),
-    'steps of another name': ('step', {'steps': 3}, "step: argument 'steps': expected n"),
-    'no goal': ('move_goal', {}, 'move_goal: argument x is None: expected float'),
-    'half a goal': ('move_goal', {'x': 1.0}, 'move_goal: argument y is None: expected float'),
-    'goal of text': ('move_goal', {'x': 'a', 'y': 1.0}, "argument x is 'a': expected float"),
-    'nan goal': ('move_goal', {'x': float('nan'), 'y': 0.0}, 'x is nan: expected a finite number'),
-    'infinite goal': ('move_goal', {'x': 0.0, 'y': float('inf')}, 'y is inf: .* finite number'),
-    'goal beyond float32': ('move_goal', {'x': 1e39, 'y': 0.0}, 'goal is 1e.39, 0 m: expected'),
-    'three axes': ('move_goal', {'x': 0.0, 'y': 0.0, 'z': 0.0}, "'z': expected x, y"),
-}
+# --- values that cannot be ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(('service', 'arguments', 'pattern'), BAD.values(), ids=list(BAD))
-def test_bad_arguments_are_refused_with_value_and_expectation_and_change_nothing(
-    graph: Graph, sim: Any, service: str, arguments: dict[str, Any], pattern: str
+def test_bad_seeds_and_numbers_of_steps_are_refused_with_a_reason_and_change_nothing(
+    graph: Graph, sim: Any
 ) -> None:
-    results = graph.call_named(f'flock_sim/{service}', **arguments)
-    assert len(results) == max(len(arguments), 1)
-    for success, reason in results:
-        assert not success
-        assert re.search(pattern, reason), reason
-    assert not sim.pacing.paused
-    assert sim.number == 0
-    assert sim.state.goal.tolist() == [0.0, 0.0]
-    now = sim.now_ns
-    graph.until(lambda: sim.now_ns > now, 'the world goes on')
+    for name, value, pattern in (
+        ('seed', 'seven', "expected 'Type.INTEGER' got 'Type.STRING'"),
+        ('seed', 1.5, "expected 'Type.INTEGER' got 'Type.DOUBLE'"),
+        ('seed', True, "expected 'Type.INTEGER' got 'Type.BOOL'"),
+        ('seed', 2**63 - 1, 'seed out of range'),
+        ('step_size', 0, 'step_size out of range'),
+        ('step_size', -2, 'step_size out of range'),
+        ('step_size', 0.5, "expected 'Type.INTEGER' got 'Type.DOUBLE'"),
+    ):
+        taken, reason = graph.set_parameter('flock_sim', name, value)
+        assert not taken
+        assert pattern in reason
+    assert (sim.next_seed, sim.get_parameter('step_size').value, sim.number) == (1, 1, 0)

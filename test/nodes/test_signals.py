@@ -9,7 +9,6 @@ import sys
 
 from nodes.process import BIN, EXECUTABLES, Graph, LATCHED, Process
 import pytest
-from rclpy.parameter import parameter_value_to_python
 from std_msgs.msg import String
 
 LEFT = 'DDS did not let go within 10 s: left it\n'
@@ -161,10 +160,10 @@ def test_help_names_every_parameter_with_its_default(graph: Graph, executable: s
     assert process.wait() == 0
     first, *_ = process.text.splitlines()
     assert re.match(r'[A-Z][^\n]+\.$', first), 'a sentence comes first'
-    for name, parameter in node._parameters.items():
+    for name in node.list_parameters([], 0).names:
         if name in ('use_sim_time', 'start_type_description_service'):
             continue
-        value = parameter_value_to_python(parameter.get_parameter_value())
+        value = node.get_parameter(name).value
         shown = list(value) if hasattr(value, 'tolist') else value
         line = re.search(rf'^  {re.escape(name)} \((.*?)\): (\S.+)$', process.text, re.MULTILINE)
         assert line, f'{name} is not in the help of {executable}'

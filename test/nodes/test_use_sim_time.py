@@ -47,7 +47,7 @@ def test_a_node_with_use_sim_time_follows_the_clock_of_the_world(
     graph.until(lambda: clock.now().nanoseconds == sim.now_ns, 'its clock is that of the world')
     graph.idle(0.05)
     assert clock.now().nanoseconds == sim.now_ns  # it stands with the world
-    graph.call_named('flock_sim/step', n=4)
+    graph.steps(4)
     graph.until(lambda: sim.pacing.steps_left == 0 and sim.flock_commands.complete, 'four steps')
     graph.until(lambda: clock.now().nanoseconds == sim.now_ns, 'its clock follows')
     graph.until_status(f'other/{executable}: ', '.')  # once a second of wall time all the same
@@ -70,7 +70,7 @@ def test_the_clock_never_jumps_back_over_episodes_and_resets(graph: Graph, mode:
         graph.until(lambda: sim.number >= 3, 'three whole episodes')
         for seed in (0, 0, 7):
             number = sim.number
-            graph.call_named('flock_sim/reset', seed=seed)
+            graph.reset(seed)
             graph.until(lambda n=number: sim.number > n + 1, 'the episode after the reset')
         clock = graph.clock()
         assert len(clock) > 20

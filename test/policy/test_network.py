@@ -141,9 +141,7 @@ def test_sizes_that_do_not_fit_are_refused() -> None:
         Body((3, 78), NetworkConfig())
 
 
-def test_a_policy_with_another_configuration_shares_weights_and_leaves_the_first_alone() -> (
-    None
-):
+def test_a_policy_with_another_configuration_shares_weights_and_leaves_the_first_alone() -> None:
     config = PolicyConfig(network=NetworkConfig(filters_1=3, filters_2=5, hidden=7))
     policy = Policy(config)
     wide = replace(config, dt=0.1, network=replace(config.network, min_std=1.2, max_std=1.3))
