@@ -1,7 +1,8 @@
-# Two commands do everything on a fresh machine: `make demo` and `make test`.
+# Two commands do everything on a fresh machine: `make demo` and `make test`; `make help` lists all.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+ROS ?= jazzy
 
 CONTROLLER ?= policy
 SHEEP ?= 100
@@ -12,22 +13,37 @@ SEED ?= 0
 STEPS ?= 1000
 OUT ?= out/demo
 
-.PHONY: demo test setup generate docs lint train paper table bench bench-learning clean browser
+.PHONY: help demo test setup generate docs lint train paper table bench bench-learning clean browser
 .DEFAULT_GOAL := demo
 
-demo: setup
+demo: $(VENV)/.demo  # a learned policy herds 100 sheep; pictures in out/demo/
 	$(BIN)/shepherd demo --controller $(CONTROLLER) --sheep $(SHEEP) --shepherds $(SHEPHERDS) \
 	  --flock $(FLOCK) --preset $(PRESET) --seed $(SEED) --steps $(STEPS) --out $(OUT)
 
-test: setup browser
+test: setup browser  # all tests
 	$(BIN)/python -m pytest -n 2 --dist loadgroup
 
-setup: $(VENV)/.installed
+help:  # this list
+	@sed -n 's/^\([a-z-]*\):[^#]*  # /\1: /p' $(MAKEFILE_LIST)
 
-$(VENV)/.installed: setup.py package.xml constraints.txt
+setup: $(VENV)/.installed  # the environment with all that tests and other targets need
+
+# torch without GPU libraries, which take gigabytes; where it cannot be reached, that of PyPI
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
+REACHED = $(BIN)/python -c "from urllib.request import urlopen as u; u('$(TORCH_INDEX)', timeout=5)"
+INSTALL = if $(REACHED) 2>/dev/null; then export PIP_EXTRA_INDEX_URL=$(TORCH_INDEX); fi; \
+  $(BIN)/python -m pip install --constraint constraints.txt --editable
+
+$(VENV)/.demo: setup.py package.xml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[jazzy,fast,envs,dev]'
-	touch $@
+	@echo 'make: what the demo needs goes into $(VENV): 0.5 GB to download, 2 GB on disk'
+	@$(INSTALL) '.[$(ROS),fast]'
+	@touch $@
+
+$(VENV)/.installed: $(VENV)/.demo
+	@echo 'make: what tests need goes into $(VENV): 0.2 GB to download, 0.5 GB on disk'
+	@$(INSTALL) '.[$(ROS),fast,envs,dev]'
+	@touch $@
 
 browser:  # Chromium, in which the tests look at pages
 	@if ! { { command -v chromium || command -v chromium-browser || command -v google-chrome; } && \

@@ -68,6 +68,7 @@ setup(
     ],
     extras_require={
         'jazzy': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
+        'kilted': ['ros-kilted-rclpy[fastrtps]', 'ros-kilted-common-interfaces'],
         'fast': ['numba'],
         'envs': ['gymnasium', 'pettingzoo'],
         'sb3': ['gymnasium', 'pettingzoo', 'stable-baselines3'],

@@ -9,9 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 import fcntl
+from importlib.util import find_spec
 from itertools import count
 import os
 from pathlib import Path
+import re
 import tempfile
 from typing import TYPE_CHECKING
 
@@ -22,7 +24,8 @@ if TYPE_CHECKING:
     from nodes.process import Graph
 
 FIRST, DOMAINS, SHARE = 1, 101, 25  # domains 1 to 101; a worker begins SHARE after the one before
-ROOT = Path(__file__).resolve().parents[1]
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent
 PORTS = Path('/proc/net/udp')  # of this machine, where the kernel tells
 
 os.environ |= {
@@ -34,6 +37,23 @@ os.environ |= {
 }
 os.environ.pop('ROS_STATIC_PEERS', None)
 torch.set_num_threads(1)
+
+
+def lacking(path: Path) -> list[str]:
+    """Return the packages that a file of tests imports and that are not installed."""
+    names = re.findall(r'^(?:import|from) (\w+)', path.read_text(encoding='utf-8'), re.MULTILINE)
+    return sorted(name for name in {*names} if find_spec(name) is None)
+
+
+LACKING = {str(path): names for path in HERE.rglob('test_*.py') if (names := lacking(path))}
+collect_ignore = [*LACKING]
+
+
+def pytest_report_header() -> list[str]:
+    """Return a line for each file that is not run, as what it needs is not installed."""
+    return [f'not run without {", ".join(names)}: {path}' for path, names in LACKING.items()]
+
+
 _counter = count()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 import os
 from pathlib import Path
+import re
 import shutil
 import subprocess
 import sys
@@ -142,12 +143,11 @@ def test_code_of_a_checkout_uses_the_files_of_the_checkout(prefix: Path, tmp_pat
 @pytest.fixture(scope='module')
 def colcon(copy: Path) -> Callable[..., str]:
     """Return a function that runs colcon in the workspace of the copy."""
-    executable = Path(sys.executable).with_name('colcon')
-    assert executable.exists(), 'colcon is part of what make installs'
 
     def call(*words: str) -> str:
         env = environment(*BOOTSTRAP, AMENT_PREFIX_PATH=sys.prefix)
-        return run([executable, '--log-base', 'log', *words], copy.parents[1], env)
+        colcon = [sys.executable, '-m', 'colcon', '--log-base', 'log']
+        return run([*colcon, *words], copy.parents[1], env)
 
     return call
 
@@ -172,6 +172,43 @@ def test_colcon_installs_executables_and_shared_files(install: Path) -> None:
     assert (install / MARKER).is_file()
     for name in FILES:
         assert (install / 'share/shepherd_ros' / name).is_file(), name
+
+
+def test_colcon_executables_run_in_the_environment_that_built_them(install: Path) -> None:
+    for name in {*NODES, 'shepherd'}:
+        first = (install / 'lib/shepherd_ros' / name).read_text().splitlines()[0]
+        assert first == f'#!{sys.executable}', name
+
+
+def test_a_wheel_has_all_files_of_the_package(copy: Path, prefix: Path) -> None:
+    (package,) = prefix.glob('lib/python*/site-packages/shepherd_ros')
+
+    def files(folder: Path) -> set[str]:
+        found = (p for p in folder.rglob('*') if p.is_file() and '__pycache__' not in p.parts)
+        return {p.relative_to(folder).as_posix() for p in found}
+
+    assert files(copy / 'shepherd_ros') == files(package)
+    shared = prefix / 'share/shepherd_ros'
+    for folder in ('checkpoints', 'config', 'launch', 'msg_schemas'):
+        assert files(copy / folder) == files(shared / folder), folder
+
+
+def test_rosdep_and_one_pip_line_bring_all_that_pip_would() -> None:
+    setup = (ROOT / 'setup.py').read_text(encoding='utf-8')
+    listed = re.search(r'install_requires=\[(.*?)\]', setup, re.DOTALL)
+    assert listed
+    wanted = {re.split(r'\W', name)[0] for name in re.findall(r"'(.*?)',", listed[1])}
+    manifest = ET.parse(ROOT / 'package.xml').getroot()
+    keys = {e.text.removeprefix('python3-') for e in manifest.iter('exec_depend') if e.text
+            and not e.get('condition')}  # fmt: skip
+    text = (ROOT / 'docs/installation.md').read_text(encoding='utf-8')
+    (line,) = re.findall(r'^pip install (torch.*)$', text, re.MULTILINE)
+    by_pip = {re.split(r'\W', word.strip("'"))[0] for word in line.split()}
+    known = keys | by_pip | {'pyyaml', 'pillow'}  # whose keys have other names
+    assert wanted <= known | {'setuptools'}
+    assert {'yaml', 'pil'} <= keys
+    (torch,) = (e for e in manifest.iter('exec_depend') if e.text == 'python3-torch')
+    assert torch.get('condition')
 
 
 def test_colcon_executable_explains_itself(install: Path, tmp_path: Path) -> None:

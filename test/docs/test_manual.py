@@ -90,7 +90,7 @@ def test_every_executable_and_parameter_exists(name: str, line: str) -> None:
     words = shlex.split(line, comments=True)
     assert words[2] == 'shepherd_ros'
     node = words[3]
-    assert node in CONTROLLERS or f"'{node}': " in SETUP
+    assert node in CONTROLLERS or node in FILES
     if node in ('recorder', 'player', 'herd'):
         known = section('commands.md', node)
         assert all(w in known for w in words[4:] if w.startswith('-'))
@@ -104,7 +104,7 @@ def test_every_executable_and_parameter_exists(name: str, line: str) -> None:
 
 @pytest.mark.parametrize('name, line', starting('ros2 launch'))
 def test_every_launch_file_and_argument_exists(name: str, line: str) -> None:
-    from shepherd_ros.bringup import LAUNCH_ARGUMENTS, REPLAY_ARGUMENTS
+    from shepherd_ros.launch_arguments import LAUNCH_ARGUMENTS, REPLAY_ARGUMENTS
 
     words = shlex.split(line, comments=True)
     assert (ROOT / 'launch' / words[3]).is_file()
