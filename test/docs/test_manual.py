@@ -10,6 +10,7 @@ import shlex
 from manual_blocks import blocks, DOCS, README, ROOT, WRITTEN
 import pytest
 from shepherd_ros.controllers import CONTROLLERS
+from shepherd_ros.nodes.executables import FILES
 import yaml
 
 PAGES = [path for path in WRITTEN if path != ROOT / 'CONTRIBUTING.md']
