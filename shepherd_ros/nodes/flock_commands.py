@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 import math
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.node import NodeNameNonExistentError
 from shepherd_ros.nodes.pending_commands import CommandBuffer
 from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
@@ -17,6 +19,7 @@ from shepherd_ros.wire.episode import Episode
 from shepherd_ros.wire.topics import COMMANDS, scan_topic
 
 REFUSAL_WARNING_PERIOD = 5.0  # [s] between two warnings of one kind
+SILENCE_CHECK_PERIOD = 0.5  # [s] between two looks at why somebody is silent
 
 
 def seconds_text(ns: int) -> str:
@@ -56,14 +59,16 @@ class FlockCommands:
         self.lockstep = True
         self.now_ns = self.dt_ns = 0
         self.since = node.wall()
-        self.named: list[str] = []
+        self.named: dict[str, str] = {}  # who is silent, and what is known of the reason
+        self.look_at = 0.0  # when to look for the reason again
+        self.refused = 0  # commands that were not finite, at the last report
         self.rivals: dict[str, list[str]] = {}
 
     def begin(self, episode: Episode) -> None:
         """Make ready for the team of an episode."""
         self.lockstep = episode.mode == 'lockstep'
         self.commands = CommandBuffer(episode.n_shepherds)
-        self.named = []
+        self.named = {}
         kind = '' if self.stamped else 'geometry_msgs/msg/Twist'
         while len(self.inputs) > episode.n_shepherds:
             self.node.destroy_subscription(self.inputs.pop())
@@ -87,7 +92,7 @@ class FlockCommands:
         self.now_ns, self.dt_ns = now_ns, dt_ns
         self.commands.expect()
         self.scanned.clear()
-        self.since = self.node.wall()
+        self.since, self.look_at = self.node.wall(), 0.0
 
     @property
     def complete(self) -> bool:
@@ -159,38 +164,46 @@ class FlockCommands:
         return lacking + [name for name in self.scans if name not in self.scanned]
 
     def watch(self, patience: float) -> None:
-        """Log once, by name, who has been silent for longer than patience [s], and who answers."""
-        if self.named:
-            self._forgive()
+        """Log by name who has been silent for longer than patience [s], and whom they wait for."""
+        self._forgive()
+        now = self.node.wall()
+        if self.complete or now < max(self.since + patience, self.look_at):
             return
-        if self.complete or self.node.wall() - self.since < patience:
-            return
-        self.named = self.missing()
-        said = []
-        for name in self.named:
-            writers = self._publishers(name)
-            said.append(f'{name} ({", ".join(writers) if writers else "nobody publishes it"})')
-        self.node.get_logger().warning(
-            f'waiting at {self.now_ns * 1e-9:.3f} s for {"; ".join(said)}: start or wake the node '
-            'that answers, the episode then goes on'
-        )
+        self.look_at = now + SILENCE_CHECK_PERIOD
+        named = {name: self._reason(name) for name in self.missing()}
+        if named != self.named:
+            self.named = named
+            self.node.get_logger().warning(
+                f'waiting at {self.now_ns * 1e-9:.3f} s for {"; ".join(named.values())}: start or '
+                'wake the node that answers, the episode then goes on'
+            )
 
     def _forgive(self) -> None:
         """Name no more who has answered meanwhile."""
-        missing = self.missing()
+        missing = self.missing() if self.named else []
         if answered := [name for name in self.named if name not in missing]:
             self.node.get_logger().info(f'{", ".join(answered)}: answering again')
-        self.named = [name for name in self.named if name in missing]
+            self.named = {name: why for name, why in self.named.items() if name in missing}
 
-    def _publishers(self, topic: str) -> list[str]:
-        infos = self.node.get_publishers_info_by_topic(topic)
-        return sorted(f'{info.node_namespace.rstrip("/")}/{info.node_name}' for info in infos)
+    def _reason(self, topic: str) -> str:
+        """Return a topic with who publishes it, and from whom those get the scans they need."""
+        scans = set()
+        for writer in self.node.get_publishers_info_by_topic(topic):
+            with suppress(NodeNameNonExistentError):
+                heard = self.node.get_subscriber_names_and_types_by_node(
+                    writer.node_name, writer.node_namespace
+                )
+                scans |= {name for name, kinds in heard if 'sensor_msgs/msg/LaserScan' in kinds}
+        why = self.node.sourced(topic)
+        if scans:
+            why = f'{why[:-1]}, by {", ".join(map(self.node.sourced, sorted(scans)))})'
+        return why
 
     def find_rivals(self) -> None:
         """Warn of shepherds that more than one node commands, once per set of nodes."""
         rivals = {}
         for h in range(self.commands.n_shepherds):
-            writers = self._publishers(COMMANDS.format(h=h))
+            writers = self.node.publishers_of(COMMANDS.format(h=h))
             if len(writers) > 1:
                 rivals[COMMANDS.format(h=h)] = writers
         for topic, writers in rivals.items():
@@ -206,7 +219,8 @@ class FlockCommands:
         self.find_rivals()
         level, message = OK, 'every shepherd answers'
         if self.named:
-            level, message = ERROR, 'no answer on ' + ', '.join(self.named)
+            level = ERROR
+            message = f'no answer on {", ".join(self.named)}: {"; ".join(self.named.values())}'
         elif not self.lockstep:
             stopped = [
                 f'shepherd_{h}' for h, age in enumerate(self.commands.age)
@@ -216,5 +230,8 @@ class FlockCommands:
                 level, message = ERROR, 'stopped by the watchdog: ' + ', '.join(stopped)
         if level == OK and self.rivals:
             level, message = WARN, 'several nodes command ' + ', '.join(sorted(self.rivals))
+        if level == OK and self.counts['not_finite'] > self.refused:
+            level, message = WARN, 'commands that are not finite count as zero'
+        self.refused = self.counts['not_finite']
         shown = {name: self.counts[name] for name in ('not_finite', 'wrong_frame', 'wrong_stamp')}
         return self.node.status('commands', level, message, late=self.counts['late'], **shown)

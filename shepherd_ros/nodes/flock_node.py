@@ -65,7 +65,6 @@ class FlockSim(ShepherdNode):
         self.now_ns = 0
         self.pending_goal: Tensor | None = None
         self.sent = 0.0
-        self.steps_made = 0
         self.pacing = Pacing(self.wall())
         self.output = WorldOutput(self)
         self.flock_commands = FlockCommands(self, self.on_answers)
@@ -130,7 +129,6 @@ class FlockSim(ShepherdNode):
             return
         self.moment = advance(self.moment, command)
         self.now_ns += self.dt_ns
-        self.steps_made += 1
         if self.pending_goal is not None:
             self.set_goal(self.pending_goal)
         self.publish_state()
@@ -201,6 +199,10 @@ class FlockSim(ShepherdNode):
         if self.pacing.resting:
             self.set_goal(self.pending_goal)
 
+    def on_rivals(self) -> None:
+        """Say again what is latched: a rival may have said something else."""
+        self.output.episode(self.now_ns, self.episode, self.state, seconds=0.0)
+
     # ---- parameters and diagnostics ----
 
     def take_parameters(self, parameters: list[Parameter]) -> None:
@@ -215,17 +217,13 @@ class FlockSim(ShepherdNode):
 
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return how the episode goes and what is wrong with commands."""
-        rate, self.steps_made = self.steps_made, 0
+        wanted = 1 / self.period if self.mode == 'realtime' else 0.0
+        rate, fault = self.pacing.report(self.wall(), wanted)
         episode = self.status(
-            'episode',
-            WARN if self.pacing.paused else OK,
-            'paused' if self.pacing.paused else 'running',
-            episode=self.number,
-            seed=self.episode.seed,
-            step=int(self.state.step),
-            steps_per_second=rate,
+            'episode', WARN if fault else OK, fault or 'running', episode=self.number,
+            seed=self.episode.seed, step=int(self.state.step), steps_per_second=round(rate, 1),
             mode=self.mode,
-        )
+        )  # fmt: skip
         return [episode, self.flock_commands.diagnose()]
 
 

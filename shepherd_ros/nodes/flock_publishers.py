@@ -23,7 +23,10 @@ class WorldOutput:
     def __init__(self, node: ShepherdNode) -> None:
         """Create the publishers."""
         self.node = node
-        self.outputs = {name: node.advertise(name) for name in TOPICS}
+        clock = node.option(
+            'publish_clock', True, 'publish /clock; false where another world of this graph does'
+        )
+        self.outputs = {name: node.advertise(name) for name in TOPICS if name != CLOCK or clock}
         self.transforms = TransformOutput(node)
         self.drawn = 0.0
 
@@ -41,7 +44,8 @@ class WorldOutput:
     def state(self, ns: int, state: WorldState, before: WorldState) -> None:
         """Publish clock and poses; the state before gives the shepherds' headings."""
         frame, moved = self.node.frame_id, unit(state.shepherds - before.shepherds)
-        self.outputs[CLOCK].publish(encode_clock(ns))
+        if CLOCK in self.outputs:
+            self.outputs[CLOCK].publish(encode_clock(ns))
         self.outputs[SHEPHERD_POSES].publish(
             encode_poses(ns, frame, state.shepherds.numpy(), moved.numpy())
         )

@@ -97,12 +97,12 @@ class HeuristicNode(ShepherdNode):
 
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return whether states come in."""
-        heard = self.listener.states > 0
+        silence = self.listener.silence()
         return [
             self.status(
                 'controller',
-                OK if heard else WARN,
-                'commanding' if heard else 'no state of the world heard yet',
+                WARN if silence else OK,
+                silence or 'commanding',
                 states=self.listener.states,
                 shepherds=sorted(self.outputs),
             )

@@ -18,7 +18,7 @@ from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_scan
 from shepherd_ros.wire.episode import Episode
-from shepherd_ros.wire.topics import scan_topic, SHEPHERD
+from shepherd_ros.wire.topics import scan_topic
 import torch
 
 RAY_MARKER_PERIOD = 0.05  # [s] wall time between two pictures
@@ -39,7 +39,9 @@ class LidarNode(ShepherdNode):
                 'from 0, such as [0, 1, 2]'
             )
         self.scan_frame: str = self.option(
-            'scan_frame', SHEPHERD, 'frame of the scans, {h} is the index of the shepherd'
+            'scan_frame',
+            self.shepherd_frame,
+            'frame of the scans, {h} is the index of the shepherd',
         )
         self.noise_std: float = self.option(
             'noise_std', 0.0, 'noise on all perceived positions [m]', low=0.0
@@ -86,8 +88,8 @@ class LidarNode(ShepherdNode):
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return whether states come in and the shepherds exist."""
         level, message = OK, 'scanning'
-        if self.listener.states == 0:
-            level, message = WARN, 'no state of the world heard yet'
+        if silence := self.listener.silence():
+            level, message = WARN, silence
         elif self.present != self.shepherd_ids:
             level, message = ERROR, 'some shepherds are not in this episode'
         return [

@@ -61,8 +61,8 @@ class MetricsNode(ShepherdNode):
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return whether every step was heard."""
         level, message = OK, 'counting'
-        if self.listener.states == 0:
-            level, message = WARN, 'no state of the world heard yet'
+        if silence := self.listener.silence():
+            level, message = WARN, silence
         elif self.gaps:
             level, message = WARN, 'steps of this episode were missed: its metrics are not whole'
         shown = {name: f'{value:.6g}' for name, value in self.values.items()}

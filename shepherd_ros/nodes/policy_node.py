@@ -19,6 +19,7 @@ from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.ros.parameters import declare_config
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.ros.scan_subscriber import SCAN_WARNING_PERIOD, ScanListener
+from shepherd_ros.ros.world_subscriber import SILENCE
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_command, encode_twist
 from shepherd_ros.wire.episode import Episode
@@ -68,6 +69,7 @@ class PolicyNode(ShepherdNode):
         self.last: tuple[int, Tensor] | None = None
         self.heard = self.wall()
         self.stale = False
+        self.lacking: list[str] = []  # scans that do not come, and who publishes them
         self.answers = 0
         self.latency: deque[float] = deque(maxlen=LATENCY_WINDOW)  # [s]
         self.outputs: dict[int, Output] = {}
@@ -112,7 +114,7 @@ class PolicyNode(ShepherdNode):
 
     def on_scans(self, ns: int, ranges: dict[int, np.ndarray]) -> None:
         """Answer the scans of a stamp; the same stamp again gets the same answer."""
-        begun, self.heard, self.stale = perf_counter(), self.wall(), False
+        begun, self.heard, self.stale, self.lacking = perf_counter(), self.wall(), False, []
         episode = self.episode
         if episode is None or not episode.has(ns):
             return
@@ -165,7 +167,10 @@ class PolicyNode(ShepherdNode):
                 throttle_duration_sec=SCAN_WARNING_PERIOD,
             )
         episode, last = self.episode, self.last
-        if episode is None or episode.mode == 'lockstep' or last is None or self.stale:
+        if episode is None or self.refused:
+            return
+        self._name_lacking()
+        if episode.mode == 'lockstep' or last is None or self.stale:
             return
         if self.wall() - self.heard > self.stale_after:
             self.stale = True
@@ -173,6 +178,15 @@ class PolicyNode(ShepherdNode):
                 f'no scans for {self.stale_after} s: commanding zero until they come again'
             )
             self._publish(last[0], torch.zeros_like(last[1]))
+
+    def _name_lacking(self) -> None:
+        """Name scans that do not come and who publishes them, again if that changes."""
+        if self.wall() - self.heard < max(self.stale_after, SILENCE):
+            return
+        lacking = [self.sourced(name) for name in self.scans.lacking()]
+        if lacking != self.lacking:
+            self.lacking = lacking
+            self.get_logger().warning(f'waiting for {", ".join(lacking)}: no scans come')
 
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return whether it drives, how long an answer takes, and what was wrong with scans."""
@@ -183,6 +197,8 @@ class PolicyNode(ShepherdNode):
             level, message = ERROR, f'no lidar publishes {", ".join(self.absent)}'
         elif self.stale:
             level, message = WARN, 'scans have stopped: commanding zero'
+        elif self.lacking:
+            level, message = WARN, f'waiting for {", ".join(self.lacking)}'
         elif self.last is None:
             level, message = WARN, 'no scans heard yet'
         elif self.scans.faults:

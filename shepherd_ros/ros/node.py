@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
@@ -18,10 +19,12 @@ from shepherd_ros import __version__
 from shepherd_ros.ros.intra_process import IntraProcessPublisher, IntraProcessTransport, Output
 from shepherd_ros.ros.parameters import declare, ParameterNode
 from shepherd_ros.wire.decode import CdrError, DECODERS
-from shepherd_ros.wire.topics import contract, row_of, WORLD_FRAME
+from shepherd_ros.wire.topics import CLOCK, contract, row_of, SHEPHERD, Topic, WORLD_FRAME
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 EXECUTORS = ('events', 'single')
+RIVAL_PERIOD = 0.2  # [s] between two looks at who publishes what only one node may
+UNNAMED = '_NODE_NAME_UNKNOWN_'  # of a publisher whose node DDS has not told of yet
 
 
 def message_type(name: str) -> Any:
@@ -54,14 +57,22 @@ class ShepherdNode(ParameterNode):
         self.transport = transport
         self.finished = False  # a node sets this to end its process
         self.unreadable: Counter[str] = Counter()  # messages that could not be decoded, by topic
+        self.sole: set[str] = set()  # topics that one node alone may publish, which it hears or is
+        self.rivals: dict[str, list[str]] = {}  # who publishes such a topic if several do
+        self.faulty = False  # whether messages or rivals were ever wrong
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.frame_id: str = self.option('frame_id', WORLD_FRAME, 'name of the world frame')
         self.executor_kind: str = self.option(
             'executor', 'events', 'executor: events (experimental in Jazzy), or single (slower)',
             choices=EXECUTORS,
         )  # fmt: skip
+        # several worlds share /tf: the frames of each begin with its namespace
+        self.shepherd_frame = f'{self.get_namespace()}/{SHEPHERD}'.lstrip('/')
         self._diagnostics = self.advertise('/diagnostics')
         self.timer(1.0, self.publish_diagnostics)
+        self.timer(RIVAL_PERIOD, self.find_rivals)
+        if self.get_parameter('use_sim_time').value:
+            self.sole.add(CLOCK)
 
     def option(
         self, name: str, default: Any, doc: str, read_only: bool = True, **limits: Any
@@ -74,6 +85,7 @@ class ShepherdNode(ParameterNode):
         row = row_of(topic)
         name = topic.format(h=shepherd)
         publisher = self.create_publisher(message_type(kind or row.type), name, quality(topic))
+        self._expect_one(row, publisher)
         return (
             publisher
             if self.transport is None
@@ -94,7 +106,8 @@ class ShepherdNode(ParameterNode):
 
         callback(content) receives what decode(message) returns, as in wire.decode by default.
         """
-        kind = kind or row_of(topic).type
+        row = row_of(topic)
+        kind = kind or row.type
         decode = decode or DECODERS[kind]
         name = topic.format(h=shepherd)
         profile = quality(topic, subscribe=True)
@@ -115,18 +128,26 @@ class ShepherdNode(ParameterNode):
         subscription = self.create_subscription(
             message_type(kind), name, receive, profile, raw=True
         )
+        self._expect_one(row, subscription)
         if self.transport is not None:
             self.transport.add(subscription)
         return subscription
+
+    def _expect_one(self, row: Topic, end: Publisher | Subscription) -> None:
+        """Look for rivals on a topic that one executable alone publishes, and no user."""
+        if len(row.publisher) == 1 and row.publisher != ('user',):
+            self.sole.add(end.topic_name)
 
     def destroy_publisher(self, publisher: Output) -> bool:
         """Destroy a publisher that advertise() gave."""
         if isinstance(publisher, IntraProcessPublisher):
             publisher = publisher.publisher
+        self.sole.discard(publisher.topic_name)
         return bool(super().destroy_publisher(publisher))
 
     def destroy_subscription(self, subscription: Subscription) -> bool:
         """Destroy a subscription that listen() gave."""
+        self.sole.discard(subscription.topic_name)
         if self.transport is not None:
             self.transport.remove(subscription)
         return bool(super().destroy_subscription(subscription))
@@ -147,12 +168,47 @@ class ShepherdNode(ParameterNode):
         """Return what to tell on /diagnostics."""
         return [self.status('node', OK, 'running')]
 
-    def diagnose_inputs(self) -> DiagnosticStatus:
-        """Return what is wrong with messages before anybody looks at what they say."""
+    def publishers_of(self, topic: str) -> list[str]:
+        """Return the full names of the nodes that publish a topic, sorted."""
+        return sorted(
+            'a node not yet named'
+            if info.node_name == UNNAMED
+            else f'{info.node_namespace.rstrip("/")}/{info.node_name}'
+            for info in self.get_publishers_info_by_topic(topic)
+        )
+
+    def sourced(self, topic: str) -> str:
+        """Return a topic with the nodes that publish it."""
+        return f'{topic} ({", ".join(self.publishers_of(topic)) or "nobody publishes it"})'
+
+    def find_rivals(self) -> None:
+        """Name the nodes that publish what only one may, once per set of nodes."""
+        several = [name for name in sorted(self.sole) if self.count_publishers(name) > 1]
+        rivals = {name: self.publishers_of(name) for name in several}
+        if rivals == self.rivals:
+            return
+        for name, writers in rivals.items():
+            if self.rivals.get(name) != writers:
+                self.get_logger().error(
+                    f'{name} is published by {len(writers)} nodes ({", ".join(writers)}), '
+                    'expected one: stop the others, or give each world a namespace of its own '
+                    'and all but one publish_clock:=false'
+                )
+        self.rivals, self.faulty = rivals, True
+        self.on_rivals()
+
+    def on_rivals(self) -> None:
+        """Do what is to be done when rivals have come or gone."""
+
+    def diagnose_inputs(self) -> list[DiagnosticStatus]:
+        """Return what was wrong with messages before anybody looked at what they say, if ever."""
         level, message = OK, 'every message can be read'
-        if self.unreadable:
+        if self.rivals:
+            level, message = ERROR, 'several nodes publish ' + ', '.join(self.rivals)
+        elif self.unreadable:
             level, message = WARN, 'cannot be read: ' + ', '.join(sorted(self.unreadable))
-        return self.status('inputs', level, message, **self.unreadable)
+        shown = [self.status('inputs', level, message, **self.unreadable)]
+        return shown if self.faulty or self.unreadable else []
 
     def status(self, part: str, level: bytes, message: str, **values: Any) -> DiagnosticStatus:
         """Return one status; names are as diagnostic_updater makes them."""
@@ -166,7 +222,7 @@ class ShepherdNode(ParameterNode):
 
     def publish_diagnostics(self) -> None:
         """Publish what diagnose() says; the stamp is wall time, as diagnostics tools expect."""
-        message = DiagnosticArray(status=[*self.diagnose(), self.diagnose_inputs()])
+        message = DiagnosticArray(status=self.diagnose() + self.diagnose_inputs())
         message.header.stamp = Clock(clock_type=ClockType.SYSTEM_TIME).now().to_msg()
         self._diagnostics.publish(message)
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+import math
 
 import numpy as np
 from rclpy.subscription import Subscription
 from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.wire.decode import Scan
-from shepherd_ros.wire.topics import scan_topic
+from shepherd_ros.wire.topics import scan_topic, SHEPHERD
 
 SCAN_WARNING_PERIOD = 5.0  # [s] between two warnings
+SLACK = 0.1  # by how much of the angle between two rays the last may be off
 
 
 class ScanListener:
@@ -32,6 +34,9 @@ class ScanListener:
         """Make a listener that hears nobody; listen_to() subscribes."""
         self.node, self.lidar, self.on_scans = node, lidar, on_scans
         self.channels = lidar.layout.channels
+        self.frame: str = node.option(
+            'scan_frame', SHEPHERD, 'frame of the scans, behind any prefix; {h} is the shepherd'
+        )
         self.faults: dict[str, int] = {}
         self._inputs: dict[int, list[Subscription]] = {}
         self._ns = -1
@@ -64,6 +69,15 @@ class ScanListener:
 
         return receive
 
+    def lacking(self) -> list[str]:
+        """Return the scans that are missing of the present stamp, or of the next one."""
+        return [
+            scan_topic(channel).format(h=h)
+            for h in self._inputs
+            for channel in self.channels
+            if channel not in self._parts.get(h, ())
+        ]
+
     def unpublished(self) -> list[str]:
         """Return the scans that nobody publishes, of shepherds whose other scans have come."""
         return [
@@ -95,18 +109,27 @@ class ScanListener:
 
     def _fits(self, scan: Scan, shepherd: int, channel: str) -> bool:
         """Return whether a scan is one that the lidar in mind could have made."""
-        want = self.lidar
+        want, frame = self.lidar, self.frame.replace('{h}', str(shepherd))
+        pitch = 2 * math.pi / want.n_rays
+        kind = 'contract'
         if len(scan.ranges) != want.n_rays:
             wrong = f'{len(scan.ranges)} rays, expected {want.n_rays}'
         elif abs(scan.range_max - want.range_max) > 1e-3:
             wrong = f'range_max {scan.range_max} m, expected {want.range_max} m'
         elif abs(scan.angle_min) > 1e-6:
             wrong = f'angle_min {scan.angle_min} rad, expected 0'
-        elif np.isnan(scan.ranges).any():
-            wrong = 'ranges that are NaN'
+        elif not abs(scan.angle_increment - pitch) < SLACK * pitch / want.n_rays:
+            wrong = f'angle_increment {scan.angle_increment} rad, expected {pitch:.6f}'
+        elif not abs(scan.angle_max - 2 * math.pi + pitch) < SLACK * pitch:
+            wrong = f'angle_max {scan.angle_max} rad, expected {2 * math.pi - pitch:.6f}'
+        elif not f'/{scan.frame_id}'.endswith(f'/{frame}'):
+            wrong = f'frame {scan.frame_id!r:.60}, expected {frame!r}: see parameter scan_frame'
+        elif not (scan.ranges >= 0).all():
+            nan = bool(np.isnan(scan.ranges).any())
+            kind, wrong = ('nan', 'ranges that are NaN') if nan else (kind, 'ranges below zero')
         else:
             return True
-        self._fault('nan' if 'NaN' in wrong else 'contract', shepherd, channel, wrong)
+        self._fault(kind, shepherd, channel, wrong)
         return False
 
     def _fault(self, kind: str, shepherd: int, channel: str, words: str) -> None:

@@ -13,11 +13,13 @@ except ImportError:
     TFMessage = None
 
 
-def shepherd_transforms(ns: int, world: str, shepherds: Tensor) -> list[TransformStamped]:
+def shepherd_transforms(
+    ns: int, world: str, shepherds: Tensor, frame: str = SHEPHERD
+) -> list[TransformStamped]:
     """Return the transform from the world to each shepherd's frame, which never turns."""
     transforms = []
     for h, (x, y) in enumerate(shepherds.tolist()):
-        transform = TransformStamped(child_frame_id=SHEPHERD.format(h=h))
+        transform = TransformStamped(child_frame_id=frame.format(h=h))
         transform.header.stamp, transform.header.frame_id = stamp(ns), world
         transform.transform.translation.x, transform.transform.translation.y = x, y
         transform.transform.rotation.w = 1.0
@@ -38,5 +40,5 @@ class TransformOutput:
     def publish(self, ns: int, shepherds: Tensor) -> None:
         """Publish where the shepherds are, (H, 2) m, if anybody wants to know."""
         if self.publisher is not None and self.publisher.get_subscription_count():
-            frame = self.node.frame_id
-            self.publisher.publish(TFMessage(transforms=shepherd_transforms(ns, frame, shepherds)))
+            frames = self.node.frame_id, shepherds, self.node.shepherd_frame
+            self.publisher.publish(TFMessage(transforms=shepherd_transforms(ns, *frames)))

@@ -16,6 +16,8 @@ from shepherd_ros.wire.topics import GOAL, SHEEP_POSES, SHEPHERD_POSES
 import torch
 from torch import Tensor
 
+SILENCE = 3.0  # [s] without a state after which a world in lockstep is gone
+
 
 @lru_cache(maxsize=4)  # nodes in one process hear the same bytes
 def _hear(raw: bytes) -> tuple[int, str, Tensor, Tensor, bool]:
@@ -48,12 +50,23 @@ class Listener:
         self.episode: Episode | None = None
         self.goal: Tensor | None = None
         self.states = 0
+        self.heard = node.wall()  # when the last state came
         self._halves: dict[str, tuple[int, Tensor, Tensor]] = {}
         self._same: dict[str, Tensor] = {}  # what all states of the episode share
         listen_to_episodes(node, self._on_episode)
         node.listen(GOAL, self._on_goal)
         for topic in (SHEEP_POSES, SHEPHERD_POSES):
             node.listen(topic, partial(self._on_poses, topic), decode=_hear)
+
+    def silence(self) -> str:
+        """Return what is missing if no state comes, with who publishes it, else ''."""
+        if self.states == 0:
+            return 'no state of the world heard yet'
+        waited = self.node.wall() - self.heard
+        lockstep = self.episode is not None and self.episode.mode == 'lockstep'
+        if not lockstep or waited < SILENCE:  # in lockstep it is shown again each second at least
+            return ''
+        return f'no state of the world for {waited:.0f} s: {self.node.sourced(SHEEP_POSES)}'
 
     def _on_episode(self, episode: Episode, world: WorldConfig) -> None:
         self.episode = episode
@@ -113,7 +126,7 @@ class Listener:
         if len(sheep) != episode.n_sheep or len(shepherds) != episode.n_shepherds:
             return
         self._halves.clear()
-        self.states += 1
+        self.states, self.heard = self.states + 1, self.node.wall()
         state = WorldState(
             step=torch.tensor(episode.step_of(ns)),
             sheep=sheep,

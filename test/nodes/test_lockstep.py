@@ -185,6 +185,7 @@ def test_a_world_goes_on_after_its_nodes_were_told_of_another_episode(graph: Gra
     graph.until(lambda: len(track.stamps) > 100, 'everybody answers')
     other = Episode(9, 9, 10**15, 3, 1, 4.0, 'map', 'lockstep', WorldConfig().to_dict())
     foreign = graph.publisher('episode', String, LATCHED)
+    graph.until_says(sim, '/episode is published by 2 nodes')  # it repeats what it says, once
     foreign.publish(String(data=other.to_json()))
     # the answer of shepherd_0 may have come out just before
     graph.until_says(sim, r'waiting at [^0].* shepherd_\d/cmd_vel')

@@ -105,7 +105,9 @@ class Answers:
 
     def scan(self, ns: int, channel: int, ranges: list[float], range_max: float = 75.0) -> None:
         """Publish one scan."""
-        message = LaserScan(range_max=range_max, angle_increment=2 * math.pi / len(ranges))
+        pitch = 2 * math.pi / len(ranges)
+        message = LaserScan(range_max=range_max, angle_increment=pitch)
+        message.angle_max, message.header.frame_id = 2 * math.pi - pitch, 'shepherd_0'
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(ns, 10**9)
         message.ranges = ranges
         self.outputs[channel].publish(message)
