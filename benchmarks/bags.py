@@ -20,7 +20,7 @@ from typing import Any
 from recorder_load import flood, PUBLISHERS, record, run, SCAN, scan_row
 from shepherd_ros.bringup import herding_stack
 from shepherd_ros.cli.processes import executable, isolate, running
-from shepherd_ros.recordings.writer import RecordingWriter
+from shepherd_ros.recordings.recording_writer import RecordingWriter
 from shepherd_ros.rosbag2.reader import open_bag
 
 KINDS = ('none', 'lz4', 'zstd')

@@ -28,7 +28,7 @@ from rosbags.highlevel import AnyReader
 from shepherd_ros.bringup import herding_stack
 from shepherd_ros.cli.processes import isolate, running
 from shepherd_ros.recordings.check import check_bag
-from shepherd_ros.recordings.writer import LOST_KEY
+from shepherd_ros.recordings.recording_writer import LOST_KEY
 from shepherd_ros.rosbag2.reader import Bag, open_bag
 from shepherd_ros.rosbag2.recover import recover
 

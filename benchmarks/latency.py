@@ -19,7 +19,7 @@ import time
 from shepherd_ros.bringup import herding_stack
 from shepherd_ros.cli.processes import isolate, running
 from shepherd_ros.policy.checkpoint import load_policy
-from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.flocking.strombom_flock import StrombomFlock
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 import torch
 

@@ -21,7 +21,7 @@ from typing import Any
 from shepherd_ros.learning.clone import CloneLearner, Examples
 from shepherd_ros.learning.dagger import DaggerConfig, LabelledWorlds
 from shepherd_ros.learning.ppo import PPOConfig, PPOLearner
-from shepherd_ros.learning.rollout import Rollout
+from shepherd_ros.learning.ppo_rollout import Rollout
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.train_ppo import PPORunConfig
 from shepherd_ros.memory import keep_memory

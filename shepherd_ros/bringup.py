@@ -102,7 +102,7 @@ def stack_in(setting: Setting, controller: str, **flock_sim: Any) -> list[Proces
 
 def _require_fit(checkpoint: str, setting: Setting) -> None:
     """Raise ConfigError unless a policy knows the time step and the rays of a setting."""
-    from shepherd_ros.controllers.policy import require_same_world
+    from shepherd_ros.controllers.policy_controller import require_same_world
     from shepherd_ros.experiments.methods import loaded
 
     config, policy = env_config(setting), loaded(checkpoint)

@@ -26,7 +26,7 @@ from shepherd_ros.policy.checkpoint import shipped_checkpoints
 from shepherd_ros.resources import share_file
 from shepherd_ros.ros.runtime import from_words
 from shepherd_ros.sim.flocking import FLOCK_MODELS
-from shepherd_ros.sim.flocking.base import FlockConfig
+from shepherd_ros.sim.flocking.flock_model import FlockConfig
 from shepherd_ros.sim.presets import PRESETS
 from shepherd_ros.wire.topics import renamed_topics
 import yaml

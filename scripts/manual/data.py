@@ -15,7 +15,7 @@ from shepherd_ros.policy.checkpoint import (
     shipped_checkpoints,
 )
 from shepherd_ros.policy.policy import PolicyConfig
-from shepherd_ros.recordings import writer
+from shepherd_ros.recordings import recording_writer
 from shepherd_ros.recordings.export import SCHEMAS
 from shepherd_ros.rosbag2 import metadata
 from shepherd_ros.sim.flocking import FLOCK_MODELS
@@ -69,7 +69,7 @@ my_bag/
 Topics, types and units are those of [](topics.md).
 A bag of `shepherd train dagger --bag-folder` also has `teacher/shepherd_<h>/cmd_vel`.
 """
-    keys = [[code(getattr(writer, name)), text] for name, text in KEYS.items()]
+    keys = [[code(getattr(recording_writer, name)), text] for name, text in KEYS.items()]
     exported = [f'### {name}\n\n{_columns(schema)}' for name, schema in SCHEMAS.items()]
     return page(
         'Bags',

@@ -8,7 +8,7 @@ import os
 import sys
 from typing import Any
 
-from shepherd_ros.cli.errors import UserError
+from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.config import ConfigError
 
 
@@ -23,16 +23,16 @@ class Train:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a verb and return the exit code: 2 for a mistake of the user's, 130 for Ctrl-C."""
-    from shepherd_ros.cli.bag import BagVerbs
-    from shepherd_ros.cli.checkpoint import CheckpointVerbs
-    from shepherd_ros.cli.counterfactual import Counterfactual
-    from shepherd_ros.cli.dataset import DatasetVerbs
-    from shepherd_ros.cli.demo import Demo
-    from shepherd_ros.cli.evaluate import Evaluate
-    from shepherd_ros.cli.figures import Figures
-    from shepherd_ros.cli.record import Record
-    from shepherd_ros.cli.replay import Replay
-    from shepherd_ros.cli.search import Search
+    from shepherd_ros.cli.bag_verbs import BagVerbs
+    from shepherd_ros.cli.checkpoint_verbs import CheckpointVerbs
+    from shepherd_ros.cli.counterfactual_verb import Counterfactual
+    from shepherd_ros.cli.dataset_verbs import DatasetVerbs
+    from shepherd_ros.cli.demo_verb import Demo
+    from shepherd_ros.cli.evaluate_verb import Evaluate
+    from shepherd_ros.cli.figures_verb import Figures
+    from shepherd_ros.cli.record_verb import Record
+    from shepherd_ros.cli.replay_verb import Replay
+    from shepherd_ros.cli.search_verb import Search
     import tyro
 
     verbs: dict[str, Callable[..., Any]] = {
@@ -51,7 +51,7 @@ def main(arguments: list[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else arguments
     try:
         if words[:1] == ['train']:  # its arguments are made with torch, which takes a second
-            from shepherd_ros.cli.train import train
+            from shepherd_ros.cli.train_verbs import train
 
             return train(words[1:], Train.__doc__ or '')
         verb = tyro.extras.subcommand_cli_from_dict(

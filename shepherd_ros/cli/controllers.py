@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from shepherd_ros.bringup import controller_process, Process
-from shepherd_ros.cli.errors import UserError
+from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.config import Config, mapping, unknown_name
 import yaml
 
 if TYPE_CHECKING:
-    from shepherd_ros.controllers.base import Controller
+    from shepherd_ros.controllers.controller import Controller
     from shepherd_ros.sim.world import WorldConfig
 
 OF_NODES = ('executor', 'frame_id', 'shepherd_ids', 'stale_after', 'stamped', 'use_sim_time')

@@ -13,7 +13,7 @@ import sys
 import time
 
 from shepherd_ros.bringup import Process
-from shepherd_ros.cli.errors import UserError
+from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.resources import share_file
 
 

@@ -11,7 +11,7 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import Any
 
-from shepherd_ros.controllers.base import Controller, CONTROLLERS
+from shepherd_ros.controllers.controller import Controller, CONTROLLERS
 from shepherd_ros.sim.world import WorldConfig
 
 for info in iter_modules(__path__):

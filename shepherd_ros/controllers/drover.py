@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from shepherd_ros.config import Config, ConfigError, option
-from shepherd_ros.controllers.base import Controller, CONTROLLERS, Memory
+from shepherd_ros.controllers.controller import Controller, CONTROLLERS, Memory
 from shepherd_ros.controllers.formation import (
     bearings_in_order,
     Formation,

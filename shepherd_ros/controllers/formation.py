@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 import math
 
-from shepherd_ros.controllers.base import places_on_arc
+from shepherd_ros.controllers.controller import places_on_arc
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import bearing, EPSILON, from_bearing, unit, wrap
 import torch

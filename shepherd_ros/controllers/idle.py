@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from shepherd_ros.config import Config
-from shepherd_ros.controllers.base import Controller, CONTROLLERS, Memory
+from shepherd_ros.controllers.controller import Controller, CONTROLLERS, Memory
 from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor

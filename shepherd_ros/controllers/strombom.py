@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import math
 
 from shepherd_ros.config import Config, option
-from shepherd_ros.controllers.base import Controller, CONTROLLERS, Memory, places_on_arc
+from shepherd_ros.controllers.controller import Controller, CONTROLLERS, Memory, places_on_arc
 from shepherd_ros.controllers.strombom_compiled import strombom_act
 from shepherd_ros.sim.compiled import compilable
 from shepherd_ros.sim.rng import direction, Stream

@@ -10,9 +10,9 @@ import random
 
 import numpy as np
 from shepherd_ros.config import ConfigError
+from shepherd_ros.datasets.dataset_report import Report
 from shepherd_ros.datasets.lerobot_reader import Dataset, is_dataset, open_dataset
 from shepherd_ros.datasets.lerobot_writer import DatasetWriter
-from shepherd_ros.datasets.report import Report
 from shepherd_ros.datasets.steps import Refuse, Steps, steps_of
 from shepherd_ros.recordings.episodes import iter_episodes
 from shepherd_ros.rosbag2.metadata import FILE

@@ -9,8 +9,8 @@ from typing import Any
 
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import CONTROLLERS, make_controller
-from shepherd_ros.controllers.base import Controller
-from shepherd_ros.controllers.policy import LearnedConfig, LearnedController
+from shepherd_ros.controllers.controller import Controller
+from shepherd_ros.controllers.policy_controller import LearnedConfig, LearnedController
 from shepherd_ros.experiments.setting import env_config, Setting
 from shepherd_ros.policy.checkpoint import checkpoint_file, load_policy, read_checkpoint_metadata
 from shepherd_ros.policy.policy import Policy

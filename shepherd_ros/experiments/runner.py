@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from shepherd_ros.controllers.base import Controller
+from shepherd_ros.controllers.controller import Controller
 from shepherd_ros.sim.rollout import advance, EnvConfig, start
 from shepherd_ros.sim.spawn import spawn
 import torch

@@ -14,8 +14,8 @@ from typing import Any
 
 from shepherd_ros.config import Config, option, part
 from shepherd_ros.controllers import make_controller
-from shepherd_ros.controllers.base import Controller
-from shepherd_ros.controllers.policy import require_same_world
+from shepherd_ros.controllers.controller import Controller
+from shepherd_ros.controllers.policy_controller import require_same_world
 from shepherd_ros.experiments.methods import checkpoint_of, full_name
 from shepherd_ros.learning.clone import CloneConfig, CloneLearner, Examples
 from shepherd_ros.learning.dagger_bags import DaggerBags

@@ -7,7 +7,7 @@ from typing import Any
 
 from shepherd_ros.config import Config, option
 from shepherd_ros.learning.distributed import add_up, least, ranks, total
-from shepherd_ros.learning.rollout import Batch, log_prob
+from shepherd_ros.learning.ppo_rollout import Batch, log_prob
 from shepherd_ros.learning.store import Store
 from shepherd_ros.policy.policy import Policy
 import torch

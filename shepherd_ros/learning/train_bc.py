@@ -10,8 +10,8 @@ import time
 from typing import Any
 
 from shepherd_ros.config import Config, ConfigError, option, part
+from shepherd_ros.datasets.dataset_report import Report
 from shepherd_ros.datasets.examples import examples_of, stream_steps
-from shepherd_ros.datasets.report import Report
 from shepherd_ros.datasets.steps import Steps
 from shepherd_ros.learning.clone import CloneConfig, CloneLearner, Examples
 from shepherd_ros.learning.run_folder import RunFolder

@@ -16,7 +16,7 @@ from shepherd_ros.learning.annealing import (
 )
 from shepherd_ros.learning.distributed import least, rank, ranks, total
 from shepherd_ros.learning.ppo import PPOConfig, PPOLearner
-from shepherd_ros.learning.rollout import Rollout
+from shepherd_ros.learning.ppo_rollout import Rollout
 from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.validation import validate

@@ -6,7 +6,7 @@ from dataclasses import replace
 from itertools import product
 import math
 
-from shepherd_ros.controllers.policy import LearnedConfig, LearnedController
+from shepherd_ros.controllers.policy_controller import LearnedConfig, LearnedController
 from shepherd_ros.experiments.runner import run_episodes
 from shepherd_ros.learning.task import base_world, TaskConfig
 from shepherd_ros.policy.policy import Policy

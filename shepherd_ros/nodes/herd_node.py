@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from shepherd_ros.bringup import stack_in
-from shepherd_ros.experiments.arguments import OneSetting
+from shepherd_ros.experiments.setting_arguments import OneSetting
 from shepherd_ros.nodes.compose import compose
 from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.ros.runtime import run

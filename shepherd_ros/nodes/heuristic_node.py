@@ -8,7 +8,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from shepherd_ros.controllers import CONTROLLERS
-from shepherd_ros.controllers.base import Controller, Memory
+from shepherd_ros.controllers.controller import Controller, Memory
 from shepherd_ros.ros.intra_process import Output
 from shepherd_ros.ros.node import OK, ShepherdNode, WARN
 from shepherd_ros.ros.parameters import declare_config

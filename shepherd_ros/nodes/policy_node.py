@@ -9,7 +9,11 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
 from shepherd_ros.config import ConfigError
-from shepherd_ros.controllers.policy import action_draws, LearnedConfig, require_same_world
+from shepherd_ros.controllers.policy_controller import (
+    action_draws,
+    LearnedConfig,
+    require_same_world,
+)
 from shepherd_ros.policy import inference
 from shepherd_ros.policy.checkpoint import load_policy
 from shepherd_ros.policy.inference import PolicyMemory

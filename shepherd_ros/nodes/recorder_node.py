@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
 from shepherd_ros.nodes.recorder_options import RecorderOptions
 from shepherd_ros.nodes.recorder_subscriptions import RecorderSubscriptions
-from shepherd_ros.recordings.writer import LOST_KEY, RecordingWriter
+from shepherd_ros.recordings.recording_writer import LOST_KEY, RecordingWriter
 from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.rosbag2.errors import BagError

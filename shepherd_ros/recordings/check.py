@@ -15,7 +15,7 @@ from shepherd_ros.recordings.grouping import (
     RecordedState,
     SCAN,
 )
-from shepherd_ros.recordings.writer import CONTRACT_KEY, LOST_KEY, TOPICS_KEY
+from shepherd_ros.recordings.recording_writer import CONTRACT_KEY, LOST_KEY, TOPICS_KEY
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.reader import Bag
 from shepherd_ros.sim.lidar_layout import sorted_channels

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from shepherd_ros.controllers.base import Controller, Memory
+from shepherd_ros.controllers.controller import Controller, Memory
 from shepherd_ros.recordings.episodes import Frame, RecordedEpisode
 from shepherd_ros.recordings.record import drive, EpisodeBag
 from shepherd_ros.recordings.replay import metrics_over_time, states_of

@@ -7,8 +7,8 @@ from pathlib import Path
 import shutil
 
 import numpy as np
-from shepherd_ros.controllers.base import Controller, Memory
-from shepherd_ros.recordings.writer import offered_qos, RecordingWriter
+from shepherd_ros.controllers.controller import Controller, Memory
+from shepherd_ros.recordings.recording_writer import offered_qos, RecordingWriter
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.rollout import advance, EnvConfig, Moment, start

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from shepherd_ros.controllers.base import Controller, Memory
+from shepherd_ros.controllers.controller import Controller, Memory
 from shepherd_ros.recordings.episodes import Frame, RecordedEpisode
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.state import WorldState

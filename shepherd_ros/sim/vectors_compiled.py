@@ -56,7 +56,7 @@ def mean(points, mask):
 
 @compiled
 def take_places(around, spacing, mask, place):
-    """Write what controllers.base.places_on_arc() returns for one team into place (H,)."""
+    """Write what controllers.controller.places_on_arc() returns for one team into place (H,)."""
     team = around.shape[0]
     rank = np.zeros(team, np.int64)
     count = 0

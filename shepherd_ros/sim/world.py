@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 from shepherd_ros.config import Config, ConfigError, mapping, option, part
 from shepherd_ros.registry import Extended
 from shepherd_ros.sim.flocking import FLOCK_MODELS, model_of
-from shepherd_ros.sim.flocking.base import FlockConfig
-from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.flocking.flock_model import FlockConfig
+from shepherd_ros.sim.flocking.strombom_flock import StrombomFlock
 from shepherd_ros.sim.limits import MAX_DT, MAX_SHEEP, MAX_SHEPHERDS, MAX_STEPS, MIN_DT
 from shepherd_ros.sim.world_parameters import WORLD_PARAMETERS
 

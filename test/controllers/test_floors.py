@@ -8,7 +8,7 @@ import math
 import pytest
 from reference import assert_near, batch, make_state, padded
 from shepherd_ros.controllers import CONTROLLERS, make_controller
-from shepherd_ros.controllers.base import Controller, places_on_arc
+from shepherd_ros.controllers.controller import Controller, places_on_arc
 from shepherd_ros.sim.rng import direction, Stream
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import step

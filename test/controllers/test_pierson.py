@@ -25,10 +25,10 @@ from reference import (
     World,
 )
 from shepherd_ros.controllers import make_controller
-from shepherd_ros.controllers.base import Memory
+from shepherd_ros.controllers.controller import Memory
 from shepherd_ros.controllers.pierson import opening_for, PiersonConfig, push_share
-from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
-from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.flocking.reynolds_flock import ReynoldsFlock
+from shepherd_ros.sim.flocking.strombom_flock import StrombomFlock
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import step
 from shepherd_ros.sim.world import WorldConfig

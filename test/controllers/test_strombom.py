@@ -24,8 +24,8 @@ from reference import (
 )
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.controllers.strombom import StrombomConfig
-from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
-from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.flocking.reynolds_flock import ReynoldsFlock
+from shepherd_ros.sim.flocking.strombom_flock import StrombomFlock
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
 import torch

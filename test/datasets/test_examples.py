@@ -19,6 +19,7 @@ from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.datasets import examples
+from shepherd_ros.datasets.dataset_report import Report
 from shepherd_ros.datasets.examples import (
     bag_folders,
     build_dataset,
@@ -28,7 +29,6 @@ from shepherd_ros.datasets.examples import (
 from shepherd_ros.datasets.lerobot_format import DATA, EPISODES
 from shepherd_ros.datasets.lerobot_reader import open_dataset
 from shepherd_ros.datasets.lerobot_writer import DatasetWriter, runs
-from shepherd_ros.datasets.report import Report
 from shepherd_ros.datasets.running_stats import RunningStats
 from shepherd_ros.datasets.steps import Steps, steps_of
 from shepherd_ros.learning.train_bc import stream_examples

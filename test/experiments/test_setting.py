@@ -22,7 +22,7 @@ from shepherd_ros.experiments.setting import (
 )
 from shepherd_ros.recordings.episodes import iter_episodes
 from shepherd_ros.rosbag2.reader import open_bag
-from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
+from shepherd_ros.sim.flocking.reynolds_flock import ReynoldsFlock
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import SpawnConfig, WorldConfig

@@ -32,7 +32,7 @@ from shepherd_ros.policy.policy import PolicyConfig
 from shepherd_ros.recordings.check import check_bag
 from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.sim.env import EnvConfig
-from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
+from shepherd_ros.sim.flocking.reynolds_flock import ReynoldsFlock
 from shepherd_ros.sim.reward import RewardConfig
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.sim.world_parameters import WORLD_PARAMETERS, WorldParameter

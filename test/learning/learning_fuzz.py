@@ -29,8 +29,8 @@ from typing import Any
 import pyarrow as pa
 from pyarrow import parquet
 from rosbag2 import fuzz
-from shepherd_ros.cli.checkpoint import _Info
-from shepherd_ros.cli.errors import UserError
+from shepherd_ros.cli.checkpoint_verbs import _Info
+from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.config import ConfigError
 from shepherd_ros.datasets.examples import look_at
 from shepherd_ros.sim.observation import ObservationConfig

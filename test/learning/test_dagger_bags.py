@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
+from shepherd_ros.datasets.dataset_report import Report
 from shepherd_ros.datasets.examples import build_dataset
-from shepherd_ros.datasets.report import Report
 from shepherd_ros.learning.clone import Examples
 from shepherd_ros.learning.dagger import DaggerConfig, LabelledWorlds
 from shepherd_ros.learning.dagger_bags import LABELS

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from shepherd_ros.learning.distributed import rank, ranks
 from shepherd_ros.learning.ppo import PPOConfig, PPOLearner
-from shepherd_ros.learning.rollout import Batch
+from shepherd_ros.learning.ppo_rollout import Batch
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.lidar import LidarConfig

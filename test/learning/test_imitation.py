@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import make_controller
+from shepherd_ros.datasets.dataset_report import Report
 from shepherd_ros.datasets.examples import (
     bag_folders,
     EpisodeExamples,
     examples_of,
 )
-from shepherd_ros.datasets.report import Report
 from shepherd_ros.datasets.steps import steps_of
 from shepherd_ros.learning.clone import CloneConfig, CloneLearner, Examples
 from shepherd_ros.learning.dagger import DaggerConfig, LabelledWorlds

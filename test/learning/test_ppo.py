@@ -13,7 +13,7 @@ from shepherd_ros.learning.ppo import (
     PPOConfig,
     PPOLearner,
 )
-from shepherd_ros.learning.rollout import log_prob, Rollout
+from shepherd_ros.learning.ppo_rollout import log_prob, Rollout
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig

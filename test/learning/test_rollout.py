@@ -10,14 +10,14 @@ import pytest
 from shepherd_ros.config import ConfigError
 from shepherd_ros.learning.group import team_reward, WorldGroup
 from shepherd_ros.learning.ppo import PPOConfig, PPOLearner
-from shepherd_ros.learning.rollout import Rollout
+from shepherd_ros.learning.ppo_rollout import Rollout
 from shepherd_ros.learning.task import draw_environment, TaskConfig
 from shepherd_ros.learning.validation import VALIDATION_SEED
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.env import ShepherdEnv
-from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
-from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.flocking.reynolds_flock import ReynoldsFlock
+from shepherd_ros.sim.flocking.strombom_flock import StrombomFlock
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import ObservationConfig, turned
 from shepherd_ros.sim.presets import home_world

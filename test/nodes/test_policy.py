@@ -11,7 +11,7 @@ from geometry_msgs.msg import TwistStamped
 from nodes.process import assert_same_states, Graph, nanoseconds
 import pytest
 from sensor_msgs.msg import LaserScan
-from shepherd_ros.controllers.policy import LearnedConfig, LearnedController
+from shepherd_ros.controllers.policy_controller import LearnedConfig, LearnedController
 from shepherd_ros.policy.checkpoint import save_policy
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig

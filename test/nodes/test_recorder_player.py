@@ -46,7 +46,12 @@ from shepherd_ros.cli import main
 from shepherd_ros.nodes.recorder_losses import Losses
 from shepherd_ros.recordings.check import check_bag
 from shepherd_ros.recordings.episodes import iter_episodes
-from shepherd_ros.recordings.writer import CONTRACT_KEY, EPISODE_KEY, LOST_KEY, VERSION_KEY
+from shepherd_ros.recordings.recording_writer import (
+    CONTRACT_KEY,
+    EPISODE_KEY,
+    LOST_KEY,
+    VERSION_KEY,
+)
 from shepherd_ros.rosbag2.diff import diff_bags
 from shepherd_ros.rosbag2.qos import Qos
 from shepherd_ros.rosbag2.reader import Bag, open_bag

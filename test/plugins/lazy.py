@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from shepherd_ros.config import option
-from shepherd_ros.sim.flocking.base import FLOCK_MODELS, FlockConfig, FlockModel
+from shepherd_ros.sim.flocking.flock_model import FLOCK_MODELS, FlockConfig, FlockModel
 from shepherd_ros.sim.rng import direction, Stream
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import unit

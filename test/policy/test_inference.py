@@ -7,7 +7,7 @@ import math
 
 import pytest
 from reference import make_state
-from shepherd_ros.controllers.policy import LearnedConfig, LearnedController
+from shepherd_ros.controllers.policy_controller import LearnedConfig, LearnedController
 from shepherd_ros.policy import inference
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.env import ShepherdEnv

@@ -25,7 +25,7 @@ from rosbag2.tiny import (
 from shepherd_ros.config import ConfigError
 from shepherd_ros.recordings.check import check_bag
 from shepherd_ros.recordings.findings import CheckResult
-from shepherd_ros.recordings.writer import LOST_KEY, RecordingWriter
+from shepherd_ros.recordings.recording_writer import LOST_KEY, RecordingWriter
 from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.wire.contract import contract_hash, topic_hashes
 from shepherd_ros.wire.decode import decode_string

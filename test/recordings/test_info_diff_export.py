@@ -195,7 +195,7 @@ def test_types_that_cannot_be_decoded_are_compared_by_bytes(tmp_path: Path) -> N
     bags = []
     for name, end in (('a', b'\1'), ('b', b'\2')):
         folder = write(tmp_path / name, [])
-        from shepherd_ros.recordings.writer import RecordingWriter
+        from shepherd_ros.recordings.recording_writer import RecordingWriter
 
         with RecordingWriter(tmp_path / f'{name}x') as writer:
             writer.add_topic('/i', 'x_msgs/msg/X', schema=('ros2idl', b'module x'))

@@ -9,7 +9,7 @@ from hypothesis import given as for_all
 from hypothesis import settings
 from hypothesis import strategies as st
 import pytest
-from shepherd_ros.recordings.writer import offered_qos
+from shepherd_ros.recordings.recording_writer import offered_qos
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.metadata import FileInfo, Metadata, TopicInfo
 from shepherd_ros.rosbag2.qos import dump_yaml, Qos, qos_yaml, read_qos

@@ -13,7 +13,7 @@ import pytest
 from rosbag2.tiny import cdr, LOG_START_NS, make, recording, Sent, STORE, tiny_bag, write
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.rosbag2.enums import StoragePlugin
-from shepherd_ros.recordings.writer import RecordingWriter
+from shepherd_ros.recordings.recording_writer import RecordingWriter
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.mcap_reader import Storage
 from shepherd_ros.rosbag2.reader import open_bag

@@ -15,7 +15,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from shepherd_ros.cli import main
 from shepherd_ros.recordings.check import check_bag
-from shepherd_ros.recordings.writer import recover_recording
+from shepherd_ros.recordings.recording_writer import recover_recording
 from shepherd_ros.rosbag2.diff import diff_bags
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.mcap_reader import ChunkRef, Storage

@@ -22,7 +22,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 import shepherd_ros
 from shepherd_ros.config import ConfigError
-from shepherd_ros.recordings.writer import RecordingWriter
+from shepherd_ros.recordings.recording_writer import RecordingWriter
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.metadata import Metadata
 from shepherd_ros.rosbag2.reader import open_bag
@@ -287,7 +287,7 @@ def test_a_mistake_outside_does_not_cost_the_bag(tmp_path: Path) -> None:
 
 WRITE_FOREVER = """
 import sys
-from shepherd_ros.recordings.writer import RecordingWriter
+from shepherd_ros.recordings.recording_writer import RecordingWriter
 with RecordingWriter(sys.argv[1], chunk_size=16384) as writer:
     writer.add_topic('/t', 'std_msgs/msg/String')
     for k in range(10**9):

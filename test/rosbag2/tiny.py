@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from rosbags.typesys import get_typestore, Stores
-from shepherd_ros.recordings.writer import offered_qos, RecordingWriter
+from shepherd_ros.recordings.recording_writer import offered_qos, RecordingWriter
 from shepherd_ros.rosbag2.writer import BagWriter
 from shepherd_ros.sim.lidar import LidarConfig, scan
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS

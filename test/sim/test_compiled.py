@@ -7,8 +7,8 @@ import pytest
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.sim import compiled
 from shepherd_ros.sim.flocking import model_of
-from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
-from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.flocking.reynolds_flock import ReynoldsFlock
+from shepherd_ros.sim.flocking.strombom_flock import StrombomFlock
 from shepherd_ros.sim.lidar import LidarConfig, scan
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState

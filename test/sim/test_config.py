@@ -15,8 +15,8 @@ from shepherd_ros.controllers.pierson import PiersonConfig
 from shepherd_ros.controllers.strombom import StrombomConfig
 from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.flocking import FLOCK_MODELS
-from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
-from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.flocking.reynolds_flock import ReynoldsFlock
+from shepherd_ros.sim.flocking.strombom_flock import StrombomFlock
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.limits import MAX_SHEEP, MAX_SHEPHERDS
 from shepherd_ros.sim.observation import ObservationConfig

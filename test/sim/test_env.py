@@ -10,8 +10,8 @@ import pytest
 from reference import assert_near, assert_same_world, trajectory_metrics, World
 from shepherd_ros.config import ConfigError
 from shepherd_ros.sim.env import ShepherdEnv
-from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
-from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.flocking.reynolds_flock import ReynoldsFlock
+from shepherd_ros.sim.flocking.strombom_flock import StrombomFlock
 from shepherd_ros.sim.lidar import LidarConfig, scan
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.observation import ObservationConfig

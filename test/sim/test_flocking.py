@@ -25,8 +25,8 @@ from reference import (
 )
 from shepherd_ros.config import ConfigError
 from shepherd_ros.sim.flocking import FLOCK_MODELS, model_of
-from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
-from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.flocking.reynolds_flock import ReynoldsFlock
+from shepherd_ros.sim.flocking.strombom_flock import StrombomFlock
 from shepherd_ros.sim.rng import direction, Stream, uniform
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import finite_command, step

@@ -9,9 +9,9 @@ import pytest
 from reference import batch, make_state
 from shepherd_ros.policy.fast_conv import plain_stage
 from shepherd_ros.sim import fused as module
-from shepherd_ros.sim.flocking import reynolds, strombom
-from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
-from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.flocking import reynolds_flock, strombom_flock
+from shepherd_ros.sim.flocking.reynolds_flock import ReynoldsFlock
+from shepherd_ros.sim.flocking.strombom_flock import StrombomFlock
 from shepherd_ros.sim.fused import fused
 from shepherd_ros.sim.lidar import cast_all_rays
 import torch
@@ -28,9 +28,9 @@ def works() -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
         state.sheep_mask[:, None],
     )
     return {
-        'strombom, farthest': (strombom.forces, (*flock, StrombomFlock(n_neighbors=30))),
-        'strombom, nearest': (strombom.forces, (*flock, StrombomFlock(n_neighbors=5))),
-        'reynolds': (reynolds.steered, (state.sheep, state, ReynoldsFlock(), 0.5)),
+        'strombom, farthest': (strombom_flock.forces, (*flock, StrombomFlock(n_neighbors=30))),
+        'strombom, nearest': (strombom_flock.forces, (*flock, StrombomFlock(n_neighbors=5))),
+        'reynolds': (reynolds_flock.steered, (state.sheep, state, ReynoldsFlock(), 0.5)),
         'network': (plain_stage, (torch.randn(5, 3, 64), torch.randn(8, 3, 10), torch.randn(8))),
         'lidar': (cast_all_rays, (*discs, 64, 75.0)),
     }

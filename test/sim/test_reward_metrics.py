@@ -16,8 +16,8 @@ from reference import (
     trajectory_metrics,
     World,
 )
-from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
-from shepherd_ros.sim.flocking.strombom import StrombomFlock
+from shepherd_ros.sim.flocking.reynolds_flock import ReynoldsFlock
+from shepherd_ros.sim.flocking.strombom_flock import StrombomFlock
 from shepherd_ros.sim.metrics import (
     count_step,
     METRICS,

@@ -7,7 +7,7 @@ import math
 
 import pytest
 from reference import assert_near, assert_same_world, batch, make_state, padded, state_of
-from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
+from shepherd_ros.sim.flocking.reynolds_flock import ReynoldsFlock
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.presets import home_world, training_world
 from shepherd_ros.sim.spawn import spawn

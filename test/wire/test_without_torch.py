@@ -12,8 +12,9 @@ import pytest
 ROOMS = ('wire', 'rosbag2')
 FILES = (
     'recordings.grouping', 'recordings.episodes', 'recordings.check', 'recordings.info',
-    'recordings.export', 'recordings.writer', 'datasets.steps', 'datasets.report',
-    'datasets.lerobot_reader', 'datasets.lerobot_writer', 'cli.bag', 'ros.runtime',
+    'recordings.export', 'recordings.recording_writer', 'datasets.steps',
+    'datasets.dataset_report',
+    'datasets.lerobot_reader', 'datasets.lerobot_writer', 'cli.bag_verbs', 'ros.runtime',
     'nodes.player_node', 'nodes.recorder_node', 'nodes.controller_probe',
 )  # fmt: skip
 

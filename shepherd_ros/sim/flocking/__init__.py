@@ -10,7 +10,7 @@ from __future__ import annotations
 from importlib import import_module
 from pkgutil import iter_modules
 
-from shepherd_ros.sim.flocking.base import FLOCK_MODELS, FlockConfig, FlockModel
+from shepherd_ros.sim.flocking.flock_model import FLOCK_MODELS, FlockConfig, FlockModel
 
 BOTH = ('strombom', 'reynolds')  # the flock models of the paper
 _model_with: dict[type[FlockConfig], FlockModel] = {}

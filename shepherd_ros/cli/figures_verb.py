@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TYPE_CHECKING
 
-from shepherd_ros.cli.errors import UserError
+from shepherd_ros.cli.user_error import UserError
 import tyro
 
 if TYPE_CHECKING:

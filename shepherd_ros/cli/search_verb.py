@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 import sys
 
-from shepherd_ros.cli.errors import UserError
+from shepherd_ros.cli.user_error import UserError
 
 
 @dataclass

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Literal, TYPE_CHECKING
 
 from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
-from shepherd_ros.cli.errors import UserError
-from shepherd_ros.experiments.arguments import OneSetting
+from shepherd_ros.cli.user_error import UserError
+from shepherd_ros.experiments.setting_arguments import OneSetting
 
 if TYPE_CHECKING:
-    from shepherd_ros.controllers.base import Controller
+    from shepherd_ros.controllers.controller import Controller
     from shepherd_ros.sim.rollout import EnvConfig
 
 EPISODES_PER_BATCH = 8  # episodes that a worker runs in one batch

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal, TYPE_CHECKING
 
 from shepherd_ros.arguments import verb_group
-from shepherd_ros.cli.errors import UserError
+from shepherd_ros.cli.user_error import UserError
 import tyro
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ class _Info:
         bag = open_bag(self.bag)
         text = bag_info(bag).text()
         if self.metrics:
-            from shepherd_ros.recordings.metrics import metrics_lines
+            from shepherd_ros.recordings.episode_metrics import metrics_lines
 
             text = '\n'.join([text, *metrics_lines(bag)])
         print(text)
@@ -73,7 +73,7 @@ class _Recover:
 
     def run(self) -> int:
         """Recover and print what was kept and lost."""
-        from shepherd_ros.recordings.writer import recover_recording
+        from shepherd_ros.recordings.recording_writer import recover_recording
 
         result = recover_recording(self.bag, self.output, compression=self.compression)
         print(result.text())

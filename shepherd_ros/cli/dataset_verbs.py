@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
 from shepherd_ros.arguments import verb_group
-from shepherd_ros.cli.errors import UserError
+from shepherd_ros.cli.user_error import UserError
 import tyro
 
 if TYPE_CHECKING:

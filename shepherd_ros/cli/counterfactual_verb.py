@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 from rich.progress import Progress
-from shepherd_ros.cli.bag import made_folder, one_episode
+from shepherd_ros.cli.bag_verbs import made_folder, one_episode
 from shepherd_ros.cli.controllers import chosen
-from shepherd_ros.cli.errors import UserError
+from shepherd_ros.cli.user_error import UserError
 import tyro
 
 STEPS_BEFORE = 20  # steps of the common past at the beginning of the animation

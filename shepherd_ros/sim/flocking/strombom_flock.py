@@ -12,8 +12,8 @@ from typing import ClassVar
 
 from shepherd_ros.config import option
 from shepherd_ros.sim.compiled import compilable
-from shepherd_ros.sim.flocking.base import FLOCK_MODELS, FlockConfig, FlockModel
-from shepherd_ros.sim.flocking.strombom_compiled import strombom_step
+from shepherd_ros.sim.flocking.flock_model import FLOCK_MODELS, FlockConfig, FlockModel
+from shepherd_ros.sim.flocking.strombom_flock_compiled import strombom_step
 from shepherd_ros.sim.fused import fused
 from shepherd_ros.sim.rng import direction, Stream, uniform
 from shepherd_ros.sim.state import WorldState

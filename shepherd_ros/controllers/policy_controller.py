@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from shepherd_ros.config import Config, ConfigError, option
-from shepherd_ros.controllers.base import Controller, CONTROLLERS, Memory
+from shepherd_ros.controllers.controller import Controller, CONTROLLERS, Memory
 from shepherd_ros.policy import inference
 from shepherd_ros.policy.checkpoint import load_policy
 from shepherd_ros.policy.policy import Policy

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from shepherd_ros import __version__
 from shepherd_ros.arguments import arguments_of, configured
 from shepherd_ros.cli.code import commit
-from shepherd_ros.cli.errors import UserError
+from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.config import Config
 from shepherd_ros.learning.dagger import DaggerConfig, train_dagger
 from shepherd_ros.learning.distributed import device_index, rank, ranks

@@ -13,9 +13,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from shepherd_ros.bringup import Process, stack_in
-from shepherd_ros.cli.errors import UserError
 from shepherd_ros.cli.processes import isolate, Running, running
-from shepherd_ros.experiments.arguments import OneSetting
+from shepherd_ros.cli.user_error import UserError
+from shepherd_ros.experiments.setting_arguments import OneSetting
 
 if TYPE_CHECKING:
     from shepherd_ros.experiments.setting import Setting

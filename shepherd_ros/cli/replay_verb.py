@@ -10,8 +10,8 @@ from tempfile import TemporaryDirectory
 from typing import Annotated, TYPE_CHECKING
 
 from shepherd_ros.cli.controllers import Chosen, chosen
-from shepherd_ros.cli.errors import UserError
 from shepherd_ros.cli.processes import is_executable, isolate, running
+from shepherd_ros.cli.user_error import UserError
 import tyro
 
 if TYPE_CHECKING:

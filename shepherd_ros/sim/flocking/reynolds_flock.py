@@ -12,9 +12,9 @@ from typing import ClassVar
 
 from shepherd_ros.config import option
 from shepherd_ros.sim.compiled import compilable
-from shepherd_ros.sim.flocking.base import FLOCK_MODELS, FlockConfig, FlockModel
-from shepherd_ros.sim.flocking.reynolds_compiled import reynolds_step
-from shepherd_ros.sim.flocking.strombom import offsets, StrombomFlock
+from shepherd_ros.sim.flocking.flock_model import FLOCK_MODELS, FlockConfig, FlockModel
+from shepherd_ros.sim.flocking.reynolds_flock_compiled import reynolds_step
+from shepherd_ros.sim.flocking.strombom_flock import offsets, StrombomFlock
 from shepherd_ros.sim.fused import fused
 from shepherd_ros.sim.rng import normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState

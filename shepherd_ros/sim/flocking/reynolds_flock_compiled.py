@@ -18,7 +18,7 @@ from torch import Tensor
 _EPSILON = np.float32(EPSILON)
 _ZERO, _ONE = np.float32(0), np.float32(1)
 _LARGE = 600  # flocks from this size on are put on a grid, if that leaves many out
-_TINY = np.float32(0.01)  # of a term: sim.flocking.reynolds.TINY
+_TINY = np.float32(0.01)  # of a term: sim.flocking.reynolds_flock.TINY
 
 
 @compiled
@@ -130,7 +130,7 @@ def _reynolds(
 
 
 def reynolds_step(state: WorldState, config: Any, dt: float) -> tuple[Tensor, Tensor]:
-    """Return what sim.flocking.reynolds.step() does."""
+    """Return what sim.flocking.reynolds_flock.reynolds_flock_step() does."""
     sheep = flat_array(state.sheep, 2)
     new_sheep, new_heading = np.empty_like(sheep), np.empty_like(sheep)
     weights = (

@@ -8,8 +8,8 @@ from typing import Annotated, Any, TYPE_CHECKING
 
 from rich.progress import Progress, TimeElapsedColumn, TimeRemainingColumn
 from shepherd_ros.cli.code import commit
-from shepherd_ros.cli.errors import UserError
-from shepherd_ros.experiments.arguments import ManySettings
+from shepherd_ros.cli.user_error import UserError
+from shepherd_ros.experiments.setting_arguments import ManySettings
 import tyro
 
 if TYPE_CHECKING:

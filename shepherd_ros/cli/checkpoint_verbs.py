@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 from shepherd_ros.arguments import verb_group
-from shepherd_ros.cli.errors import UserError
+from shepherd_ros.cli.user_error import UserError
 import tyro
 
 CheckpointName = tyro.conf.Positional[str]
@@ -112,7 +112,7 @@ class _Export:
     def run(self) -> int:
         """Write it."""
         from shepherd_ros.policy.checkpoint import load_policy
-        from shepherd_ros.policy.export import export_actor
+        from shepherd_ros.policy.torchscript import export_actor
 
         difference = export_actor(load_policy(self.checkpoint), self.output)
         if difference > EXPORT_TOLERANCE:
