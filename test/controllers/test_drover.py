@@ -10,9 +10,9 @@ import pytest
 from reference import state_of
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import make_controller
-from shepherd_ros.controllers.base import Memory
+from shepherd_ros.controllers.controller import Memory
 from shepherd_ros.controllers.formation import middle_of_ring, midway
-from shepherd_ros.sim.flocking.reynolds import ReynoldsFlock
+from shepherd_ros.sim.flocking.reynolds_flock import ReynoldsFlock
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import step

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from shepherd_ros.cli import main
-from shepherd_ros.cli.record import Record
+from shepherd_ros.cli.record_verb import Record
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.recordings.check import check_bag
 from shepherd_ros.recordings.episodes import iter_episodes
