@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections import defaultdict
 from collections.abc import Iterator
 from functools import cache
 from importlib import import_module, util
@@ -319,3 +320,27 @@ def test_hooks_and_workflow_are_what_they_seem() -> None:
     workflow = yaml.safe_load((ROOT / '.github/workflows/ci.yml').read_text(encoding='utf-8'))
     steps = workflow['jobs']['test']['steps']
     assert steps[-1] == {'run': 'make test'}
+
+
+SAME_ROLE = {'main'}  # of an executable
+
+
+def test_public_names_and_names_of_files_are_there_once() -> None:
+    places: defaultdict[str, list[Path]] = defaultdict(list)
+    for path in MODULES:
+        if path.stem != '__init__':
+            places[path.name].append(path)
+        for node in tree(path).body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                places[node.name].append(path)
+            targets = node.targets if isinstance(node, ast.Assign) else []
+            targets += [node.target] if isinstance(node, ast.AnnAssign) else []
+            for name in (n for target in targets for n in ast.walk(target)):
+                if isinstance(name, ast.Name) and isinstance(name.ctx, ast.Store):
+                    places[name.id].append(path)
+    twice = {
+        name: [str(path.relative_to(CODE)) for path in paths]
+        for name, paths in places.items()
+        if len(paths) > 1 and not name.startswith('_') and name not in SAME_ROLE
+    }
+    assert not twice, 'rename all but one, or begin names that only their file uses with _'

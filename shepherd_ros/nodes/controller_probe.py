@@ -13,7 +13,7 @@ from rclpy.duration import Duration
 from shepherd_ros.recordings.episodes import Frame, RecordedEpisode
 from shepherd_ros.ros.intra_process import Output
 from shepherd_ros.ros.node import ShepherdNode
-from shepherd_ros.ros.runtime import begin, make_executor
+from shepherd_ros.ros.runtime import init_rclpy, make_executor
 from shepherd_ros.wire.contract import known
 from shepherd_ros.wire.decode import Vector
 from shepherd_ros.wire.encode import encode_clock, encode_goal, encode_text
@@ -97,7 +97,7 @@ class ControllerProbe(ShepherdNode):
 @contextmanager
 def open_controller_probe() -> Iterator[ControllerProbe]:
     """Yield a probe of a controller, in a ROS context of its own."""
-    begin()
+    init_rclpy()
     node = ControllerProbe()
     try:
         yield node

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from shepherd_ros.ros.node import ShepherdNode
-from shepherd_ros.ros.runtime import begin, make_executor
+from shepherd_ros.ros.runtime import init_rclpy, make_executor
 from shepherd_ros.ros.world_subscriber import Listener
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.sim.metrics import METRICS
@@ -81,7 +81,7 @@ def open_episode_probe(
     shepherd: int = 0,
 ) -> Iterator[tuple[EpisodeProbe, Callable[[float], None]]]:
     """Yield a probe and a function that spins it for at most some time [s]."""
-    begin()
+    init_rclpy()
     node = EpisodeProbe(shepherd)
     executor = make_executor('events')
     executor.add_node(node)

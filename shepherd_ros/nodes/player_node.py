@@ -19,7 +19,7 @@ from shepherd_ros.nodes.player_options import PlayerOptions
 from shepherd_ros.ros.node import message_type, OK, ShepherdNode
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.rosbag2.metadata import TopicInfo
-from shepherd_ros.rosbag2.qos import agreed, history, nanoseconds, Qos
+from shepherd_ros.rosbag2.qos import agreed, duration_ns, history, Qos
 from shepherd_ros.rosbag2.reader import BagMessage, open_bag
 from shepherd_ros.wire.contract import installed_hash, text_hash
 from shepherd_ros.wire.encode import encode_clock
@@ -262,7 +262,7 @@ def _quality(qos: tuple[Qos, ...]) -> QoSProfile:
     best_effort = bool(qos) and all(q.reliability == 'best_effort' for q in qos)
     latched = history(qos)
     durations = {
-        name: Duration(nanoseconds=nanoseconds(agreed(qos, name)))
+        name: Duration(nanoseconds=duration_ns(agreed(qos, name)))
         for name in ('deadline', 'lifespan', 'liveliness_lease_duration')
     }
     by_topic = agreed(qos, 'liveliness') == 'manual_by_topic'

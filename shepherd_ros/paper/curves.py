@@ -13,7 +13,7 @@ from shepherd_ros.experiments.bootstrap import Array
 from shepherd_ros.paper.claims import AGREES, DISAGREES, UNDECIDED
 
 PAPER_SAMPLES = 100e6
-EPISODE = 1000  # steps of the paper's episodes, by which a mean reward becomes a return
+STEPS_PER_EPISODE = 1000  # steps of the paper's episodes, by which a mean reward becomes a return
 END_SHARE = 0.2  # share of the samples in which a curve has to be flat
 FLAT_RISE = 0.05  # it is flat if it rises there by less than this share of its whole rise
 MIN_POINTS = 10  # points of a curve that can be judged
@@ -47,7 +47,7 @@ def read_curve(path: Path) -> Curve:
     if not rows or not all(isinstance(row, dict) and 'samples' in row for row in rows):
         raise ConfigError(f'{file} is no curve of a training: expected lines with samples')
     judged = not any('reward' in row for row in rows)
-    field, scale = ('eval/return', 1) if judged else ('reward', EPISODE)
+    field, scale = ('eval/return', 1) if judged else ('reward', STEPS_PER_EPISODE)
     points = [(row['samples'], scale * row[field]) for row in rows if field in row]
     values = np.array(points, np.float64).reshape(-1, 2)
     name = path.name if path.is_dir() else path.stem

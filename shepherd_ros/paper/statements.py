@@ -23,9 +23,10 @@ from shepherd_ros.paper.quantities import (
     ratio_at,
     slope,
     smallest_ratio,
+    TIME,
 )
 
-TIME, PATH = 'completion_time', 'shepherd_path_length'
+PATH = 'shepherd_path_length'
 SPREAD, FLOCK, SHARE = 'flock_spread', 'flock_path_length', 'fraction_reached'
 RL, S, P = 'RL', 'strombom', 'pierson'
 METHODS = (RL, S, P)

@@ -13,7 +13,7 @@ from shepherd_ros.recordings.grouping import (
     RecordedGroup,
     RecordedGroups,
     RecordedState,
-    SCAN,
+    SCANS,
 )
 from shepherd_ros.recordings.recording_writer import CONTRACT_KEY, LOST_KEY, TOPICS_KEY
 from shepherd_ros.rosbag2.errors import BagError
@@ -107,8 +107,8 @@ def _check_namespace(
     recorded = [ours for name, ours in groups.wanted.items() if bag.topics[name].count]
     channels: dict[int, list[str]] = {}
     for ours in recorded:
-        if ours.topic.name.startswith(SCAN) and ours.shepherd is not None:
-            channels.setdefault(ours.shepherd, []).append(ours.topic.name.removeprefix(SCAN))
+        if ours.topic.name.startswith(SCANS) and ours.shepherd is not None:
+            channels.setdefault(ours.shepherd, []).append(ours.topic.name.removeprefix(SCANS))
     scanned = {h: sorted_channels(names) for h, names in channels.items()}
     commanded = any(ours.topic.name == COMMANDS for ours in recorded)
     for part, there in (('scans', bool(scanned)), ('commands', commanded)):
@@ -145,7 +145,7 @@ class _Expected:
         for h in range(n_shepherds):
             for channel in self.scanned.get(h, ()):
                 if (h, channel) not in state.scans:
-                    yield f'{self.namespace}/{SCAN.format(h=h)}{channel}'
+                    yield f'{self.namespace}/{SCANS.format(h=h)}{channel}'
         for h in range(n_shepherds if self.commanded and answered else 0):
             if h not in state.commands:
                 yield f'{self.namespace}/{COMMANDS.format(h=h)}'

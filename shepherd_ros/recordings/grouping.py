@@ -29,9 +29,9 @@ from shepherd_ros.wire.topics import (
     SHEPHERD_POSES,
 )
 
-SCAN = scan_topic('')  # and the name of a channel
+SCANS = scan_topic('')  # and the name of a channel
 STATES = (SHEEP_POSES, SHEPHERD_POSES)
-EPISODE_PARTS = (*STATES, SCAN, COMMANDS, GOAL)
+EPISODE_PARTS = (*STATES, SCANS, COMMANDS, GOAL)
 CLOSING_STEP = 2  # an episode ends for good when the next one has a state with this step
 
 
@@ -124,7 +124,7 @@ class RecordedGroups:
             for name in bag.topics
             for ours in [known(name)]
             if ours
-            and (SCAN if ours.topic.name.startswith(SCAN) else ours.topic.name) in parts
+            and (SCANS if ours.topic.name.startswith(SCANS) else ours.topic.name) in parts
             and ours.namespace == (said if ours.topic.name == COMMANDS else namespace)
         }
         if labels and not any(ours.topic.name == COMMANDS for ours in self.wanted.values()):
@@ -141,7 +141,9 @@ class RecordedGroups:
         names = (
             ours.topic.name for name, ours in self.wanted.items() if self.bag.topics[name].count
         )
-        return sorted_channels(name.removeprefix(SCAN) for name in names if name.startswith(SCAN))
+        return sorted_channels(
+            name.removeprefix(SCANS) for name in names if name.startswith(SCANS)
+        )
 
     def __iter__(self) -> Iterator[RecordedGroup]:
         """Yield one episode after another."""
@@ -243,4 +245,4 @@ def _put(state: RecordedState, name: str, shepherd: int | None, content: Any) ->
     elif shepherd is not None and name == COMMANDS:
         state.commands.setdefault(shepherd, content.xy)
     elif shepherd is not None:
-        state.scans.setdefault((shepherd, name.removeprefix(SCAN)), content.ranges)
+        state.scans.setdefault((shepherd, name.removeprefix(SCANS)), content.ranges)

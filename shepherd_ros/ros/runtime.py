@@ -114,7 +114,7 @@ def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None)
             )
         if words:
             hide()
-        begin(signal_handler_options=SignalHandlerOptions.NO)
+        init_rclpy(signal_handler_options=SignalHandlerOptions.NO)
         made = make_node()
         nodes = made if isinstance(made, list) else [made]
         if words:
@@ -140,7 +140,7 @@ def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None)
     return code
 
 
-def begin(**options: Any) -> None:
+def init_rclpy(**options: Any) -> None:
     """Begin rclpy with options of rclpy.init(); ConfigError names the variable that forbids it."""
     domain = os.environ.get('ROS_DOMAIN_ID', '')
     if domain and not (domain.isdecimal() and int(domain) <= LAST_DOMAIN):

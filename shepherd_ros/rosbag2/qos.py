@@ -123,7 +123,7 @@ def agreed(profiles: tuple[Qos, ...], policy: str) -> Any:
     return offers.pop() if len(offers) == 1 else getattr(Qos(), policy)
 
 
-def nanoseconds(duration: tuple[int, int]) -> int:
+def duration_ns(duration: tuple[int, int]) -> int:
     """Return a duration of s and ns in ns, 2^63 - 1 for those that rosbag2 calls infinite."""
     seconds, rest = duration
     infinite = seconds >= 2**31 - 1 or duration == (0, 0)  # so in versions up to 8, or not told

@@ -10,7 +10,7 @@ import rclpy
 from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes import executables
 from shepherd_ros.ros import runtime
-from shepherd_ros.ros.runtime import begin
+from shepherd_ros.ros.runtime import init_rclpy
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -40,7 +40,7 @@ def test_ctrl_c_while_an_executable_imports_ends_it_without_a_traceback(
 def test_a_domain_that_cannot_be_is_named(monkeypatch: pytest.MonkeyPatch, domain: str) -> None:
     monkeypatch.setenv('ROS_DOMAIN_ID', domain)
     with pytest.raises(ConfigError, match=f"ROS_DOMAIN_ID is '{domain}': expected a number"):
-        begin()
+        init_rclpy()
 
 
 @pytest.mark.parametrize(
@@ -63,4 +63,4 @@ def test_what_rcl_cannot_begin_with_is_a_sentence(
     monkeypatch.setenv('ROS_SECURITY_ENABLE', 'true')
     monkeypatch.setenv('ROS_SECURITY_KEYSTORE', '/keys')
     with pytest.raises(ConfigError, match=message):
-        begin()
+        init_rclpy()
