@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from importlib import import_module
 from itertools import groupby, pairwise
 from pathlib import Path
+from pkgutil import iter_modules, walk_packages
 import re
 import shutil
 import subprocess
 import sys
+from types import ModuleType
 
 import pytest
+import shepherd_ros
 import tomllib
 
 grimp = pytest.importorskip('grimp')
@@ -42,32 +46,37 @@ def test_rooms_import_only_what_they_may() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize(
-    ('file', 'line', 'contract'),
-    [
-        ('sim/spawn.py', 'import shepherd_ros.policy.network', 'floors'),
-        ('new_room.py', '', 'floors'),
-        ('sim/transition.py', 'import shepherd_ros.sim.env', 'circles'),
-        ('view/track.py', 'import torch', 'without-torch'),
-        ('view/track.py', 'from shepherd_ros.sim.state import WorldState', 'without-torch'),
-        ('wire/decode.py', 'import shepherd_ros.sim.state', 'without-torch'),
-        ('rosbag2/reader.py', 'import torch', 'without-torch'),
-        ('recordings/info.py', 'import rclpy', 'ros'),
-        ('sim/world.py', 'from geometry_msgs.msg import Point', 'ros'),
-        ('nodes/policy_node.py', 'import shepherd_ros.rosbag2.reader', 'bags'),
-        ('learning/ppo.py', 'def late():\n    import mcap', 'mcap'),
-    ],
+FORBIDDEN = (
+    ('sim/spawn.py', 'import shepherd_ros.policy.network', 'floors'),
+    ('new_room.py', '', 'floors'),
+    ('sim/transition.py', 'import shepherd_ros.sim.env', 'circles'),
+    ('view/track.py', 'import torch', 'without-torch'),
+    ('view/scene.py', 'from shepherd_ros.sim.state import WorldState', 'without-torch'),
+    ('wire/decode.py', 'import shepherd_ros.sim.state', 'without-torch'),
+    ('rosbag2/reader.py', 'import torch', 'without-torch'),
+    ('recordings/info.py', 'import rclpy', 'ros'),
+    ('sim/world.py', 'from geometry_msgs.msg import Point', 'ros'),
+    ('nodes/policy_node.py', 'import shepherd_ros.rosbag2.reader', 'bags'),
+    ('learning/ppo.py', 'def late():\n    import mcap', 'mcap'),
 )
-def test_a_forbidden_import_is_found(tmp_path: Path, file: str, line: str, contract: str) -> None:
+
+
+def test_forbidden_imports_are_found(tmp_path: Path) -> None:
     ignored = shutil.ignore_patterns('__pycache__')
     shutil.copytree(ROOT / 'shepherd_ros', tmp_path / 'shepherd_ros', ignore=ignored)
     shutil.copy(ROOT / 'pyproject.toml', tmp_path)
-    with (tmp_path / 'shepherd_ros' / file).open('a', encoding='utf-8') as code:
-        code.write(f'\n{line}\n')
+    for file, line, _ in FORBIDDEN:
+        with (tmp_path / 'shepherd_ros' / file).open('a', encoding='utf-8') as code:
+            code.write(f'\n{line}\n')
     done = lint(tmp_path)
-    (name,) = (rule['name'] for rule in CONTRACTS if rule['id'] == contract)
     assert done.returncode == 1
-    assert f'{name} BROKEN' in done.stdout.splitlines(), done.stdout + done.stderr
+    names = {rule['id']: rule['name'] for rule in CONTRACTS}
+    found = done.stdout.partition('Broken contracts')[2]
+    for file, line, contract in FORBIDDEN:
+        assert f'{names[contract]} BROKEN' in done.stdout.splitlines(), done.stdout + done.stderr
+        heading = rf'^{re.escape(names[contract])}\n-+\n'
+        (section,) = re.findall(rf'(?ms){heading}(.*?)(?=^-+\n|\Z)', found)
+        assert Path(file).stem in section, f'{file}: {line}\n{found}'
 
 
 def test_no_file_imports_itself_through_others(graph: grimp.ImportGraph) -> None:
@@ -130,7 +139,7 @@ def test_files_and_functions_are_short() -> None:
     long = {}
     for path in sorted(path for folder in SHORT for path in (ROOT / folder).rglob('*.py')):
         name = path.relative_to(ROOT).as_posix()
-        verb = name.startswith('scripts/') and name != 'scripts/generate.py'  # or near to one
+        verb = path.parent.name == 'scripts' and path.stem != 'generate'  # or near to one
         limit = LONGEST_SCRIPT if verb else LONGEST_FILE
         lines = path.read_text(encoding='utf-8').count('\n')
         if lines > limit:
@@ -139,3 +148,33 @@ def test_files_and_functions_are_short() -> None:
             if lines > LONGEST_FUNCTION:
                 long[f'{name}: {function}'] = lines
     assert long == {}
+
+
+def shown(package: ModuleType) -> set[str]:
+    """Return what a package says is public, and check that it is there."""
+    names = set(package.__all__)
+    modules = {info.name for info in iter_modules(package.__path__)}
+    assert names <= modules | set(vars(package)), f'{package.__name__} shows what it has not'
+    return names
+
+
+def test_what_others_import_from_a_package_is_public() -> None:
+    packages = {
+        info.name: import_module(info.name)
+        for info in walk_packages(shepherd_ros.__path__, 'shepherd_ros.')
+        if info.ispkg
+    }
+    public = {name: shown(package) for name, package in packages.items()}
+    hidden = set()
+    paths = [path for folder in (*SHORT, 'test/plugins') for path in (ROOT / folder).rglob('*.py')]
+    for path in paths:
+        inside = '.'.join(path.relative_to(ROOT).parent.parts)
+        for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+            for alias in node.names if isinstance(node, ast.ImportFrom) else ():
+                parts = f'{node.module}.{alias.name}'.split('.')
+                for end in range(2, len(parts)):
+                    package = '.'.join(parts[:end])
+                    outside = not f'{inside}.'.startswith(f'{package}.')
+                    if outside and package in public and parts[end] not in public[package]:
+                        hidden.add(f'{package}.__all__ lacks {parts[end]!r}, as {path.name} needs')
+    assert not hidden

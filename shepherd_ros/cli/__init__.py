@@ -11,6 +11,8 @@ from typing import Any
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.config import ConfigError
 
+__all__ = ['code', 'main', 'processes']
+
 
 @dataclass
 class Train:

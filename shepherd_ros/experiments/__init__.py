@@ -1,1 +1,16 @@
 """Experiments on many episodes: settings, cells, campaigns, rows of results, tables."""
+
+__all__ = [
+    'bootstrap',
+    'campaign',
+    'catalog',
+    'cells',
+    'methods',
+    'results',
+    'runner',
+    'samples',
+    'setting',
+    'setting_arguments',
+    'table',
+    'value_map',
+]

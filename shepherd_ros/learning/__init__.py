@@ -1,1 +1,13 @@
 """Training of policies: PPO in the simulator, cloning from bags, DAgger with a teacher."""
+
+__all__ = [
+    'clone',
+    'dagger',
+    'distributed',
+    'ppo',
+    'ppo_rollout',
+    'run_folder',
+    'task',
+    'train_bc',
+    'train_ppo',
+]

@@ -1,1 +1,11 @@
 """The ROS nodes, a file for each executable: decode messages, call the core, encode its answer."""
+
+__all__ = [
+    'compose',
+    'controller_probe',
+    'episode_probe',
+    'executables',
+    'herd_node',
+    'player_node',
+    'recorder_options',
+]

@@ -1,1 +1,15 @@
 """The content of bags: episodes, checks, exports, recording and replay without ROS."""
+
+__all__ = [
+    'check',
+    'counterfactual',
+    'episode_metrics',
+    'episodes',
+    'export',
+    'grouping',
+    'info',
+    'record',
+    'recording_writer',
+    'replay',
+    'replay_check',
+]

@@ -1,1 +1,13 @@
 """What nodes share of ROS: base class, parameters, executors, transport, subscribers."""
+
+__all__ = [
+    'episode_subscriber',
+    'intra_process',
+    'markers',
+    'node',
+    'parameters',
+    'runtime',
+    'scan_subscriber',
+    'transforms',
+    'world_subscriber',
+]

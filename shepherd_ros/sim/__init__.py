@@ -1,1 +1,28 @@
 """The world and its laws, in torch, batch first; start with rollout.py."""
+
+__all__ = [
+    'compiled',
+    'env',
+    'flocking',
+    'frames',
+    'fused',
+    'lidar',
+    'lidar_layout',
+    'limits',
+    'metrics',
+    'observation',
+    'perception',
+    'presets',
+    'reward',
+    'rng',
+    'rng_compiled',
+    'rollout',
+    'spawn',
+    'state',
+    'tally',
+    'transition',
+    'vectors',
+    'vectors_compiled',
+    'world',
+    'world_parameters',
+]

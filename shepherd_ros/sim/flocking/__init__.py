@@ -12,6 +12,16 @@ from pkgutil import iter_modules
 
 from shepherd_ros.sim.flocking.flock_model import FLOCK_MODELS, FlockConfig, FlockModel
 
+__all__ = [
+    'BOTH',
+    'flock_model',
+    'FLOCK_MODELS',
+    'FlockConfig',
+    'FlockModel',
+    'model_of',
+    'strombom_flock',
+]
+
 BOTH = ('strombom', 'reynolds')  # the flock models of the paper
 _model_with: dict[type[FlockConfig], FlockModel] = {}
 
