@@ -10,18 +10,14 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.validate_full_topic_name import validate_full_topic_name
 from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes.player_options import PlayerOptions
-from shepherd_ros.ros.node import message_type, OK, ShepherdNode
+from shepherd_ros.nodes.player_topics import playable_type, quality
+from shepherd_ros.ros.node import OK, ShepherdNode
 from shepherd_ros.ros.runtime import run
-from shepherd_ros.rosbag2.metadata import TopicInfo
-from shepherd_ros.rosbag2.qos import agreed, duration_ns, history, Qos
+from shepherd_ros.rosbag2.qos import history
 from shepherd_ros.rosbag2.reader import BagMessage, open_bag
-from shepherd_ros.wire.contract import installed_hash, text_hash
 from shepherd_ros.wire.encode import encode_clock
 from shepherd_ros.wire.topics import CLOCK
 from std_srvs.srv import SetBool, Trigger
@@ -49,7 +45,7 @@ class Player(ShepherdNode):
         for name, topic in self.bag.topics.items():
             if not options.topics or name in options.topics:
                 try:
-                    kinds[name] = self._kind(topic)
+                    kinds[name] = playable_type(self.bag, topic)
                 except ConfigError as error:
                     refused.append(str(error))
         if refused and not kinds:
@@ -59,7 +55,7 @@ class Player(ShepherdNode):
         for why in refused:
             self.get_logger().warning(f'skipped: {why}')
         self.outputs: dict[str, Publisher] = {
-            name: self.create_publisher(kind, name, _quality(self.bag.topics[name].qos))
+            name: self.create_publisher(kind, name, quality(self.bag.topics[name].qos))
             for name, kind in kinds.items()
         }
         histories = {name: history(self.bag.topics[name].qos) for name in self.names}
@@ -83,38 +79,6 @@ class Player(ShepherdNode):
         self.create_service(Trigger, '~/step', self.step)
         self.thread = Thread(target=self.play, daemon=True)
         self.thread.start()
-
-    def _kind(self, topic: TopicInfo) -> Any:
-        """Return the message type of a recorded topic; ConfigError if it cannot be played."""
-        fix = 'choose others with --topics'
-        if topic.serialization != 'cdr':
-            raise ConfigError(
-                f'{self.bag.path}: {topic.name} is in {topic.serialization!r}, expected cdr; {fix}'
-            )
-        try:
-            validate_full_topic_name('/' + topic.name.removeprefix('/'))
-            kind = message_type(topic.type)
-        except InvalidTopicNameException as error:
-            raise ConfigError(
-                f'{self.bag.path}: {topic.name!r} is no name of a topic in ROS 2; {fix}'
-            ) from error
-        except (AttributeError, ImportError, ValueError) as error:
-            raise ConfigError(
-                f'{self.bag.path}: {topic.name} has the type {topic.type!r}, which is not '
-                f'installed; install its package or {fix}'
-            ) from error
-        mine = installed_hash(topic.type)
-        for name, encoding, text in self.bag.definitions[topic.name]:
-            parsed = (
-                text_hash(name, text.decode(errors='replace')) if encoding == 'ros2msg' else ''
-            )
-            theirs = parsed or topic.type_hash
-            if name != topic.type or (mine and theirs and mine != theirs):
-                raise ConfigError(
-                    f'{self.bag.path}: {topic.name} was recorded with another {name!r} than the '
-                    f'{topic.type!r} that is installed; install that package or {fix}'
-                )
-        return kind
 
     # ---- playing ----
 
@@ -255,24 +219,6 @@ class Player(ShepherdNode):
             f'late by {half * 1e3:.2f} ms (p50), {most * 1e3:.2f} ms (p99)'
         )
         return 0
-
-
-def _quality(qos: tuple[Qos, ...]) -> QoSProfile:
-    """Return the recorded quality of service, rosbag2's default where publishers disagreed."""
-    best_effort = bool(qos) and all(q.reliability == 'best_effort' for q in qos)
-    latched = history(qos)
-    durations = {
-        name: Duration(nanoseconds=duration_ns(agreed(qos, name)))
-        for name in ('deadline', 'lifespan', 'liveliness_lease_duration')
-    }
-    by_topic = agreed(qos, 'liveliness') == 'manual_by_topic'
-    return QoSProfile(
-        depth=latched or max([q.depth for q in qos] or [0]) or 100,
-        reliability=(ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE),
-        durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE),
-        liveliness=LivelinessPolicy.MANUAL_BY_TOPIC if by_topic else LivelinessPolicy.AUTOMATIC,
-        **durations,
-    )
 
 
 def main() -> int:

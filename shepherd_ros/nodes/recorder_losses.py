@@ -38,22 +38,29 @@ class SequenceNumbers:
         self.runs: list[SequenceRun] = []
         self.missing = self.heard = 0
 
-    def take(self, number: int, look: Callable[[], set[bytes]]) -> None:
-        """Take the number of a message; look() returns the publishers that are there now."""
+    def take(self, number: int, look: Callable[[], set[bytes]]) -> SequenceRun:
+        """
+        Take the number of a message, return the run that it is in.
+
+        look() returns the publishers that are there now.
+        """
         self.heard += 1
-        for run in self.runs:
-            if run.last == number - 1:
-                run.last, run.ended = number, self.heard
-                return
+        fitting = [run for run in self.runs if run.last == number - 1]
+        if fitting:
+            run = max(fitting, key=lambda run: run.ended)  # whoever sent last may send again
+            run.last, run.ended = number, self.heard
+            return run
         if self.runs:  # what came before the first one is not lost
             self.publishers |= look()
-            if len(self.runs) >= len(self.publishers) and self._explain(number):
-                return
+            explained = len(self.runs) >= len(self.publishers) and self._explain(number)
+            if explained:
+                return explained
         self.runs.append(SequenceRun(number, number, self.heard, self.heard))
+        return self.runs[-1]
 
-    def _explain(self, number: int) -> bool:
+    def _explain(self, number: int) -> SequenceRun | None:
         """
-        Count as lost what lies in the smallest gap; return whether the number lies behind it.
+        Count as lost what lies in the smallest gap; return the run if the number lies behind it.
 
         If the gap is between two runs, they become one, and the number begins another.
         """
@@ -67,15 +74,15 @@ class SequenceNumbers:
         ]
         gaps = [gap for gap in gaps if gap[0] >= 0]
         if not gaps:  # numbers that go back: a publisher that is gone again
-            return False
+            return None
         missing, run, late = min(gaps, key=lambda gap: gap[0])
         self.missing += missing
         if late is None:
             run.last, run.ended = number, self.heard
-            return True
+            return run
         run.last, run.ended = late.last, late.ended
         self.runs.remove(late)
-        return False
+        return None
 
 
 class Losses:
@@ -87,10 +94,15 @@ class Losses:
         self.topics: defaultdict[str, SequenceNumbers] = defaultdict(SequenceNumbers)
         self.drops: Counter[str] = Counter()
 
-    def heard(self, topic: str, number: int | None) -> None:
-        """Take the number of a message at its publisher; None if the middleware has none."""
-        if number is not None:
-            self.topics[topic].take(number, lambda: self.publishers(topic))
+    def heard(self, topic: str, number: int | None) -> int:
+        """
+        Return what tells the publisher of a message from the others of its topic.
+
+        number is that of the message at its publisher; None if the middleware has none.
+        """
+        if number is None:
+            return 0
+        return id(self.topics[topic].take(number, lambda: self.publishers(topic)))
 
     def dropped(self, topic: str, count: int) -> None:
         """Take what DDS reports lost."""

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from datetime import datetime
-import json
 from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
+from shepherd_ros.nodes.recorder_bags import RecorderBags
 from shepherd_ros.nodes.recorder_options import RecorderOptions
-from shepherd_ros.nodes.recorder_subscriptions import RecorderSubscriptions
-from shepherd_ros.recordings.recording_writer import LOST_KEY, RecordingWriter
+from shepherd_ros.nodes.recorder_subscriptions import DEPTH, RecorderSubscriptions, Row
 from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.rosbag2.errors import BagError
@@ -57,19 +55,16 @@ class Recorder(ShepherdNode):
         self.executor_kind = 'single'  # it only sees timers and services
         self.options = options
         self.wanted = options.wish(self.resolve_topic_name)
-        self.writer: RecordingWriter | None = None
-        self.announced: set[str] = set()  # topics in the bag that is open
-        self.lost_before: Counter[str] = Counter()  # when it was opened
         self.recording = not options.start_paused
-        self.latched: dict[str, bytes] = {}  # the last message of each such topic
         self.begun = False  # whether the bag that is open tells of an episode
         self.failure = ''
-        self.parts = self.written = self.safe = 0
-        self.clock_ns = 0
+        self.clock_ns: int | None = None
+        self.early: list[Row] = []  # what came before the simulated clock
         self.rate_of = (self.wall(), 0)  # when and how many messages at the last report
         wait = EPISODE_WAIT if options.per_episode else 0.0
         self.intake = RecorderSubscriptions(self, self._heard, self._refuse, wait)
         self.losses = self.intake.losses
+        self.bags = RecorderBags(self.folder, options, self.intake, self.wanted)
         self.create_service(Trigger, '~/start', self._server(True))
         self.create_service(Trigger, '~/stop', self._server(False))
         self.timer(TAKE_PERIOD, self.take)
@@ -94,96 +89,66 @@ class Recorder(ShepherdNode):
 
     def receive(self, name: str, raw: bytes, info: dict[str, int]) -> None:
         """Take a message of a topic with its times and its number."""
-        self.losses.heard(name, info.get('publication_sequence_number'))
+        sender = self.losses.heard(name, info.get('publication_sequence_number'))
         ours = known(name)
         if ours is not None and ours.topic.name == EPISODE:
             self._next_episode(ours.namespace, raw)
         if name == CLOCK:
             with suppress(CdrError):
                 self.clock_ns = max(decode_clock(raw), 0)
+                for row in self.early:
+                    self._record(*row)
+                self.early.clear()
         if self.intake.inputs[name].latched:
-            self.latched[name] = raw
+            self.bags.latch(name, sender, raw)
         if self.recording and self.wanted(name):
-            sim = self.options.use_sim_time
-            received = self.clock_ns if sim else info['received_timestamp']
-            self._write(name, raw, received, info['source_timestamp'] or received)
+            self._record(name, raw, info)
+
+    def _record(self, name: str, raw: bytes, info: dict[str, int]) -> None:
+        """Write a message; with simulated time it waits for the first of the clock."""
+        received: int | None = info['received_timestamp']
+        if self.options.use_sim_time:
+            received = self.clock_ns
+        if received is not None:
+            coming = {id(row[1]) for row in self.early}
+            try:
+                publish_ns = info['source_timestamp'] or received
+                self.bags.write(name, raw, received, publish_ns, coming)
+            except (BagError, OSError) as error:
+                self._fail(error)
+        elif len(self.early) < DEPTH:
+            self.early.append((name, raw, info))
+        else:
+            self.losses.dropped(name, 1)
 
     def _next_episode(self, namespace: str, raw: bytes) -> None:
         """Expect the topics of an episode; begin its bag if each has its own."""
         with suppress(ValueError):
             self.intake.expect(namespace, Episode.from_json(decode_string(raw)).n_shepherds)
-        again = self.latched.get(f'{namespace}/{EPISODE}') == raw  # told to those who were silent
+        told = self.bags.latched[f'{namespace}/{EPISODE}'].values()
+        again = raw in told  # to those who were silent
         if self.recording and self.options.per_episode and not (again and self.begun):
             if self.begun:
-                self._close()
-                self.latched.pop(f'{namespace}/{GOAL}', None)  # another one follows
+                self.bags.close()
+                self.bags.latched.pop(f'{namespace}/{GOAL}', None)  # another one follows
             self.begun = True
 
     # ---- the bag ----
-
-    def _write(self, name: str, raw: bytes, log_ns: int, publish_ns: int) -> None:
-        """Write one message; the first of a bag opens it with all that is latched."""
-        try:
-            if self.writer is None:
-                self.writer = self._open()
-                for topic, content in self.latched.items():
-                    if topic != name and self.wanted(topic):
-                        self._put(self.writer, topic, content, log_ns, publish_ns)
-            self._put(self.writer, name, raw, log_ns, publish_ns)
-        except (BagError, OSError) as error:
-            self._fail(error)
-
-    def _put(
-        self, writer: RecordingWriter, name: str, raw: bytes, log_ns: int, publish_ns: int
-    ) -> None:
-        if name not in self.announced:
-            writer.add_topic(name, **self.intake.described(name))
-            self.announced.add(name)
-        writer.write(name, raw, log_ns, publish_ns)
-        self.written += 1
-
-    def _open(self) -> RecordingWriter:
-        """Return a new bag: the folder itself, or the next part in it."""
-        folder = self.folder
-        if self.options.per_episode or self.parts:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            folder = self.folder / f'episode_{self.parts:04d}'
-        self.parts += 1
-        self.lost_before = self.losses.by_topic()
-        self.announced.clear()
-        return RecordingWriter(
-            folder,
-            compression=self.options.compression,
-            split_bytes=self.options.max_bag_size,
-            split_seconds=self.options.max_bag_duration,
-        )
 
     def flush(self) -> None:
         """Put what was taken so far on the disk, with what was lost."""
         self.take()
         self.intake.group.open = True  # until the next take()
-        if self.writer is not None and not self.failure:
+        if not self.failure:
             try:
-                self._note_losses(self.writer)
-                self.writer.flush()
-                self.safe = self.written
+                self.bags.flush()
             except BagError as error:
                 self._fail(error)
-
-    def _note_losses(self, writer: RecordingWriter) -> None:
-        lost = self.losses.by_topic() - self.lost_before
-        writer.custom_data[LOST_KEY] = json.dumps(lost, sort_keys=True)
-
-    def _close(self) -> None:
-        if self.writer is not None:
-            self._note_losses(self.writer)
-            self.writer.close()
-            self.safe = self.written
-            self.writer = None
 
     def _fail(self, error: BagError | OSError) -> None:
         """End with an error, which everybody is told of."""
         self.failure = str(error)
+        self.bags.count_kept()
         self.get_logger().error(self.failure)
         self.recording, self.finished = False, True
         self.publish_diagnostics()
@@ -208,13 +173,19 @@ class Recorder(ShepherdNode):
         """Close the bag, say what is in it and what is not, and return the exit code."""
         try:
             self.take(everything=True)  # it came before the end, too
-            self._close()
+            self.bags.close()
         except BagError as error:
-            self.failure = str(error)
+            self._fail(error)
+        if self.early:
+            self.failure = self.failure or (
+                f'{len(self.early)} messages came and no {CLOCK}, which --use-sim-time needs'
+            )
         if self.failure:
             self._diagnostics.wait_for_all_acked(Duration(seconds=RECORDER_ACK_TIMEOUT))
         lost = self.losses.report()
-        print(f'{self.written} messages of {len(self.announced)} topics in {self.folder}')
+        print(
+            f'{self.bags.written} messages of {len(self.bags.announced)} topics in {self.folder}'
+        )
         for line in lost:
             print(f'lost: {line}')
         for name, count in self.losses.earlier().items():
@@ -229,8 +200,8 @@ class Recorder(ShepherdNode):
         """Return whether everything heard is in the bag, and how fast it comes."""
         by_topic = self.losses.by_topic()
         now, (then, before) = self.wall(), self.rate_of
-        rate = (self.written - before) / max(now - then, 1e-3)
-        self.rate_of = now, self.written
+        rate = (self.bags.written - before) / max(now - then, 1e-3)
+        self.rate_of = now, self.bags.written
         level, message = OK, 'recording' if self.recording else 'stopped'
         if self.failure:
             level, message = ERROR, self.failure
@@ -239,8 +210,8 @@ class Recorder(ShepherdNode):
         return [
             self.status(
                 'recorder', level, message,
-                bag=self.folder, messages=self.written, on_disk=self.safe, rate=round(rate, 1),
-                topics=len(self.announced), lost=by_topic.total(),
+                bag=self.folder, messages=self.bags.written, on_disk=self.bags.safe,
+                rate=round(rate, 1), topics=len(self.bags.announced), lost=by_topic.total(),
                 **{f'lost {name}': count for name, count in by_topic.items()},
             )
         ]  # fmt: skip

@@ -14,6 +14,8 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.wire.contract import known
 import tyro
 
+EVENTS = '/_service_event'  # behind the name of a service: what introspection publishes
+
 
 @dataclass(frozen=True)
 class RecorderOptions:
@@ -28,7 +30,13 @@ class RecorderOptions:
     exclude: Annotated[str, tyro.conf.arg(aliases=['-x'])] = ''
     """Leave out topics whose name matches this regular expression."""
     all: Annotated[bool, tyro.conf.arg(aliases=['-a'])] = False
-    """Record every topic."""
+    """Record every topic and the events of every service, but no hidden topic."""
+    include_hidden_topics: bool = False
+    """Record hidden topics, too: those with a name that begins with _ in their name."""
+    services: tuple[str, ...] = ()
+    """Names of services whose events to record."""
+    all_services: bool = False
+    """Record the events of every service."""
     compression: Literal['none', 'zstd', 'lz4'] = 'none'
     """Compression of chunks."""
     max_bag_size: Annotated[int, tyro.conf.arg(aliases=['-b'])] = 0
@@ -48,14 +56,15 @@ class RecorderOptions:
             values = f'--max-bag-size is {self.max_bag_size}, -duration {self.max_bag_duration}'
             raise ConfigError(f'{values}: expected 0 (never) or more')
         _ = self.pattern('regex'), self.pattern('exclude')
-        for name in self.topics:
-            try:
-                validate_full_topic_name(expand_topic_name(name, 'recorder', '/'))
-            except (InvalidTopicNameException, ValueError):
-                raise ConfigError(
-                    f'--topics has {name!r}: expected names of topics, such as /flock/poses or '
-                    'shepherd_0/scan/sheep'
-                ) from None
+        for option, names in (('topics', self.topics), ('services', self.services)):
+            for name in names:
+                try:
+                    validate_full_topic_name(expand_topic_name(name, 'recorder', '/'))
+                except (InvalidTopicNameException, ValueError):
+                    raise ConfigError(
+                        f'--{option} has {name!r}: expected names of {option}, such as '
+                        '/flock/poses or shepherd_0/scan/sheep'
+                    ) from None
 
     def pattern(self, name: str) -> re.Pattern[str] | None:
         """Return a compiled expression, None if there is none; ConfigError for a bad one."""
@@ -70,12 +79,18 @@ class RecorderOptions:
         """Return which full names to record; resolve(name) makes a full name of a relative one."""
         regex, exclude = self.pattern('regex'), self.pattern('exclude')
         names = {resolve(name) for name in self.topics}
-        contract_too = not (names or regex or self.all)
+        services = {resolve(name) for name in self.services}
+        contract_too = not (names or services or regex or self.all or self.all_services)
 
         def wanted(name: str) -> bool:
             if exclude is not None and exclude.search(name):
                 return False
-            by_name = name in names or (regex is not None and regex.search(name) is not None)
-            return self.all or by_name or (contract_too and known(name) is not None)
+            service = name.removesuffix(EVENTS)
+            matched = self.all or (regex is not None and regex.search(service) is not None)
+            if service != name:
+                return matched or self.all_services or service in services or name in names
+            if '/_' in name and not self.include_hidden_topics:
+                return False
+            return matched or name in names or (contract_too and known(name) is not None)
 
         return wanted

@@ -140,7 +140,7 @@ class RecorderSubscriptions:
         if heard is not None and heard.offers:
             kinds = sorted({*kinds, heard.kind})
         if len(kinds) > 1:
-            self._refuse(name, f'it has the types {", ".join(kinds)}, expected one')
+            self._refuse(name, f'it has the types {", ".join(kinds)}, expected one: remap others')
             return
         profiles = [offer.qos_profile for offer in offers]
         reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
@@ -208,13 +208,26 @@ class RecorderSubscriptions:
         heard = self.inputs[name]
         offers = self.node.get_publishers_info_by_topic(name) or heard.offers
         profiles = [offer.qos_profile for offer in offers]
-        qos = tuple(Qos(p.reliability.name.lower(), p.durability.name.lower()) for p in profiles)
+        qos = tuple(_offered(profile) for profile in profiles)
         topic: dict[str, Any] = {'type_name': heard.kind, 'qos': qos}
         if heard.kind not in wire_types():
             schema = 'ros2msg', nested_text(heard.kind, installed_text).encode()
             hash_text = str(offers[0].topic_type_hash) if offers else ''
             topic |= {'schema': schema, 'hash_text': hash_text}
         return topic
+
+
+def _offered(profile: QoSProfile) -> Qos:
+    """Return what a publisher offers, in rosbag2's words."""
+    words = {
+        name: getattr(profile, name).name.lower()
+        for name in ('reliability', 'durability', 'liveliness')
+    }
+    durations = {
+        name: divmod(getattr(profile, name).nanoseconds, 10**9)
+        for name in ('deadline', 'lifespan', 'liveliness_lease_duration')
+    }
+    return Qos(**words, **durations)
 
 
 def _received(row: Row) -> int:

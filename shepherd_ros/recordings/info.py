@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from shepherd_ros.recordings.grouping import namespaces, RecordedGroups, STATES
-from shepherd_ros.rosbag2.metadata import STORAGE, TopicInfo
+from shepherd_ros.rosbag2.metadata import NO_START, STORAGE, TopicInfo
+from shepherd_ros.rosbag2.qos import agreed, duration_ns
 from shepherd_ros.rosbag2.reader import Bag
 
 INDENT = 19  # as in ros2 bag info
@@ -130,9 +131,18 @@ def _time(ns: int) -> str:
 
 
 def _topic(topic: TopicInfo) -> str:
+    names = ('deadline', 'lifespan', 'liveliness', 'liveliness_lease_duration')
+    offers = {name: agreed(topic.qos, name) for name in names}
+    special = [
+        f'{name.removeprefix("liveliness_").removesuffix("_duration")} '
+        + (value if isinstance(value, str) else f'{duration_ns(value) / 1e9:g} s')
+        for name, value in offers.items()
+        if value != 'automatic' and (isinstance(value, str) or duration_ns(value) < NO_START)
+    ]
     return (
         f'Topic: {topic.name} | Type: {topic.type} | Count: {topic.count} | '
         f'Serialization Format: {topic.serialization}'
+        + (f' | {", ".join(special)}' if special else '')
     )
 
 

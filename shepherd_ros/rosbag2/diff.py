@@ -126,7 +126,7 @@ class Decoder:
             self.usable[type_name] = one and encoding == 'ros2msg'
             if self.usable[type_name]:
                 try:
-                    types = get_types_from_msg(text.decode(), type_name)
+                    types = get_types_from_msg(text.decode(), _as_message(type_name))
                     missing = {k: v for k, v in types.items() if k not in self.store.types}
                     self.store.register(missing)
                 except Exception:  # whatever the parser makes of a foreign text
@@ -136,13 +136,18 @@ class Decoder:
     def decode(self, message: BagMessage) -> Any:
         """Return a message as nested dataclasses of rosbags; raises BagError."""
         try:
-            return self.store.deserialize_cdr(message.data, message.type)
+            return self.store.deserialize_cdr(message.data, _as_message(message.type))
         except Exception as error:  # whatever the decoder makes of damaged bytes
             raise BagError(
                 self.bag.path,
                 f'{message.topic} at log time {message.log_ns} ns is no {message.type} '
                 f'({type(error).__name__})',
             ) from error
+
+
+def _as_message(type_name: str) -> str:
+    """Return the name under which rosbags keeps a type: it knows no parts of services."""
+    return type_name.replace('/srv/', '/msg/')
 
 
 def _difference(

@@ -12,7 +12,7 @@ from typing import BinaryIO, TypeVar
 
 from mcap.opcode import Opcode
 from shepherd_ros.rosbag2.errors import DamageError
-from shepherd_ros.rosbag2.mcap_reader import Definitions
+from shepherd_ros.rosbag2.mcap_walk import Definitions
 from shepherd_ros.rosbag2.records import (
     check_magic,
     CHUNK_HEAD,

@@ -104,9 +104,10 @@ def known_text(type_name: str) -> bytes:
 def text_hash(type_name: str, text: str) -> str:
     """Return the hash of a type as ROS 2 computes it, RIHS01_ and SHA-256; '' for no such text."""
     store = get_typestore(Stores.EMPTY)
+    name = type_name.replace('/srv/', '/msg/')  # rosbags knows no parts of services
     try:
-        store.register(get_types_from_msg(text, type_name))
-        return store.hash_rihs01(type_name)
+        store.register(get_types_from_msg(text, name))
+        return store.hash_rihs01(name)
     except Exception:  # whatever the parser makes of a foreign text
         return ''
 

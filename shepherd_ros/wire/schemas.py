@@ -15,6 +15,10 @@ from shepherd_ros.resources import share_file
 from shepherd_ros.wire.topics import contract
 
 RULER = '=' * 80
+SERVICE_PARTS = ('Request', 'Response', 'Event')
+EVENT = (
+    'service_msgs/ServiceEventInfo info\n{0}_Request[<=1] request\n{0}_Response[<=1] response\n'
+)
 _FIELD = re.compile(r'^\s*([A-Za-z0-9_/]+)(?:\[[^\]]*\])?\s', re.MULTILINE)
 _PRIMITIVES = {'bool', 'byte', 'char', 'float32', 'float64', 'string'} | {
     f'{sign}int{bits}' for sign in ('', 'u') for bits in (8, 16, 32, 64)
@@ -64,20 +68,28 @@ def nested_text(type_name: str, text_of: Callable[[str], str]) -> str:
                 text += f'\n{RULER}\nMSG: {used}\n{expand(used)}'
         return text
 
-    return expand(type_name.replace('/msg/', '/'))
+    return expand(re.sub('/(msg|srv)/', '/', type_name))
 
 
 def installed_text(name: str) -> str:
-    """Return the text of one type, such as std_msgs/Header, from the installed packages."""
-    package, message = name.split('/')
+    """
+    Return the text of one type, such as std_msgs/Header, from the installed packages.
+
+    Parts of a service have names such as std_srvs/SetBool_Request, and _Response and _Event.
+    """
+    package, *_, message = name.split('/')
+    service, _, part = message.rpartition('_')
     prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
     for prefix in [*prefixes, sys.prefix]:
-        path = Path(prefix, 'share', package, 'msg', f'{message}.msg')
-        if path.is_file():
-            return path.read_text(encoding='utf-8')
-    raise FileNotFoundError(
-        f'{name} is not installed: expected package {package}, see docs/installation.md'
-    )
+        share = Path(prefix, 'share', package)
+        if (share / 'msg' / f'{message}.msg').is_file():
+            return (share / 'msg' / f'{message}.msg').read_text(encoding='utf-8')
+        if part in SERVICE_PARTS and (share / 'srv' / f'{service}.srv').is_file():
+            text = (share / 'srv' / f'{service}.srv').read_text(encoding='utf-8')
+            request, _, response = re.sub(r'^---\s*$', RULER, text, flags=re.M).partition(RULER)
+            event = EVENT.format(f'{package}/{service}')
+            return dict(zip(SERVICE_PARTS, (request, response, event), strict=True))[part]
+    raise FileNotFoundError(f'{name} is not installed: expected package {package}, see README.md')
 
 
 def config_schema(config: type[Config], **extra: Any) -> dict[str, Any]:

@@ -517,6 +517,7 @@ def test_a_disk_that_is_full_ends_the_recorder_with_a_word(room: Graph, tmp_path
     bag = open_bag(tmp_path / 'bag')
     said = f'failed: {tmp_path}/bag: it cannot be written (File too large); {bag.count} messages '
     assert said in recorder.text
+    assert f'{bag.count} messages of {len(bag.topics)} topics in' in recorder.text
     assert 'free space or choose another place' in recorder.text
     assert 'Traceback' not in recorder.text
     status = room.until_status('recorder: recorder', 'cannot be written')
