@@ -1,4 +1,4 @@
-"""Which processes make a running stack, for the demo, the launch file and benchmarks."""
+"""Processes of a running stack, for the demo, the launch file and benchmarks."""
 
 from __future__ import annotations
 

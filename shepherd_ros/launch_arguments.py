@@ -125,7 +125,7 @@ REPLAY_ARGUMENTS: dict[str, tuple[str, str]] = {
 
 @dataclass(frozen=True)
 class ReplayValues:
-    """What the launch file starts to play a bag."""
+    """Processes that the launch file starts to play a bag."""
 
     player: list[str]  # words of its command line
     remaps: list[tuple[str, str]]  # of the player

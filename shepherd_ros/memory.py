@@ -1,4 +1,4 @@
-"""Keep freed memory for the next tensor, instead of giving it back to the system each time."""
+"""Setting of the C library that keeps freed memory for the next tensor."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ GIGABYTE = 1 << 30
 
 def keep_memory() -> bool:
     """
-    Return whether the C library was told so; only glibc can be.
+    Keep freed memory; return whether that works, as only glibc can.
 
     A minibatch takes tens of megabytes and frees them again; fresh pages for each take as long as
     the work on them.

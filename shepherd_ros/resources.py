@@ -1,4 +1,4 @@
-"""Where the files lie that are installed beside the code, such as schemas."""
+"""Paths of the files that are installed beside the code, such as schemas."""
 
 from __future__ import annotations
 

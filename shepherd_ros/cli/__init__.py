@@ -19,7 +19,7 @@ class Train:
     """Train a policy: shepherd train ppo, bc or dagger."""
 
     def run(self) -> int:
-        """Tell what is missing."""
+        """Print the missing choice of a training."""
         raise UserError('train needs to be told how: expected shepherd train ppo, bc or dagger')
 
 

@@ -43,7 +43,7 @@ class _Info:
 
 @dataclass
 class _Check:
-    """Tell whether every step of every episode is there; exit code 1 if not."""
+    """Check that every step of every episode is there; exit code 1 if not."""
 
     bag: Bags
     """Folder of a bag, or one .mcap file."""

@@ -1,4 +1,4 @@
-"""Which code runs, for records of results."""
+"""The commit of the running code, for records of results."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ class Counterfactual:
         return 0
 
     def _step(self, stamps: list[float]) -> int:
-        """Return which of the stamps [s] to go on from, or raise UserError."""
+        """Return the index of the stamp [s] to go on from, or raise UserError."""
         if not stamps[0] <= self.at <= stamps[-1]:
             raise UserError(
                 f'--at is {self.at}: expected a stamp of the episode, {stamps[0]:g} to '

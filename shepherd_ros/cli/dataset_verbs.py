@@ -19,7 +19,7 @@ Places = tyro.conf.Positional[tuple[Path, ...]]
 
 @dataclass
 class _Common:
-    """What both have in common."""
+    """Options that both verbs have."""
 
     places: Places
     """Bags, folders of bags, or data sets that were built."""
@@ -43,7 +43,7 @@ class _Common:
 
 @dataclass
 class _Info(_Common):
-    """Tell what can be learned from bags: examples, what is dropped and why, statistics."""
+    """Print what can be learned from bags: examples, dropped steps with reasons, statistics."""
 
     def run(self) -> int:
         """Print it."""

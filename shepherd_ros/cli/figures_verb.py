@@ -81,7 +81,7 @@ class Figures:
         return 0
 
     def _samples(self, rows: Results) -> dict[str, Samples]:
-        """Return what the rows have of each experiment; UserError if nothing."""
+        """Return the samples of each experiment in the rows; UserError without any."""
         from shepherd_ros.experiments.catalog import EXPERIMENTS, OF_THE_PAPER
         from shepherd_ros.experiments.samples import samples_of
 

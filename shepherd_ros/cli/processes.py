@@ -1,4 +1,4 @@
-"""Start a stack of nodes as separate processes, and stop them all whatever happens."""
+"""Processes of a stack: started together, stopped together whatever happens."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class Running:
 
 @contextmanager
 def running(logs: Path) -> Iterator[Running]:
-    """Give a set of processes that is stopped at the end of the block."""
+    """Yield a set of processes that is stopped at the end of the block."""
     logs.mkdir(parents=True, exist_ok=True)
     processes = Running(logs)
     try:

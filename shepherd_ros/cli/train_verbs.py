@@ -51,7 +51,7 @@ IMITATION_RING = PolicyConfig(
 
 @dataclass(frozen=True)
 class Recipe:
-    """What is trained, and how, unless options say otherwise."""
+    """Configurations of a policy and of its training, before options change them."""
 
     policy: PolicyConfig
     run: Config
@@ -78,7 +78,7 @@ QUICK_RECIPES = {
 
 @dataclass
 class _Common:
-    """What all training has in common."""
+    """Options that all trainings have."""
 
     out: Path
     """Folder of the run; a run that is there and was interrupted goes on."""
@@ -213,7 +213,7 @@ def _policy(arguments: Any) -> Policy:
 
 
 def show(line: dict[str, Any]) -> None:
-    """Print where training is, and how well it goes."""
+    """Print the progress of a training."""
     left = timedelta(seconds=int(line['seconds_left']))
     parts = [f'{line["updates"]:5d} updates', f'{line["samples"]:9,d} samples']
     watched = [name for name in ('reward', 'loss', 'kl', 'std') if name in line]

@@ -1,4 +1,4 @@
-"""What a controller is."""
+"""Base class and registry of controllers."""
 
 from __future__ import annotations
 

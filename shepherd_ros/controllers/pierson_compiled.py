@@ -112,7 +112,7 @@ def pierson_act(
     dt: float,
     top: float,
 ) -> tuple[Tensor, Tensor]:
-    """Return what controllers.pierson does; pace is the sheep's speed, top the shepherds'."""
+    """Return the command of controllers.pierson; pace is the sheep's speed, top the shepherds'."""
     shepherds, way = flat_array(seen.shepherds, 2), flat_array(heading, 0)
     velocity, new_heading = np.empty_like(shepherds), np.empty_like(way)
     numbers = (

@@ -53,7 +53,7 @@ class LearnedController(Controller):
         return inference.begin(self.policy, seen.step.shape, team, self.dtype)
 
     def look(self, seen: WorldState) -> Tensor:
-        """Return what the shepherds' lidars see, (..., H, C, R) m."""
+        """Return the ranges of the shepherds' lidars, (..., H, C, R) m."""
         return scan(seen, self.policy.config.lidar)
 
     def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:

@@ -156,7 +156,7 @@ def _strombom(
 
 
 def strombom_act(seen: WorldState, config: Any, r: float, dt: float, top: float) -> Tensor:
-    """Return what controllers.strombom does, r [m] its range, dt [s], top speed [m/s]."""
+    """Return the command of controllers.strombom; its range r [m], dt [s], top speed [m/s]."""
     shepherds = flat_array(seen.shepherds, 2)
     velocity = np.empty_like(shepherds)
     numbers = (

@@ -1,4 +1,4 @@
-"""What was found in recordings that are learned from, counted while they are read."""
+"""Report on the recordings that a policy learns from, counted while they are read."""
 
 from __future__ import annotations
 

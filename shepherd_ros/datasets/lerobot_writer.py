@@ -89,7 +89,7 @@ class DatasetWriter:
             shutil.rmtree(self.part, ignore_errors=True)
 
     def begin_bag(self, name: str) -> None:
-        """Say which bag the next steps are from."""
+        """Begin the steps of a bag."""
         self._bag, self.bags = name, self.bags + 1
 
     def add(self, steps: Steps) -> None:

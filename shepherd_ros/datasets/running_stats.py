@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 
 class RunningStats:
-    """How the numbers of some columns are spread; only what is finite counts."""
+    """Mean, deviation and limits of each column of rows; only finite numbers count."""
 
     def __init__(self, columns: int) -> None:
         """Begin with nothing."""

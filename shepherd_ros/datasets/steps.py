@@ -1,5 +1,5 @@
 """
-The whole steps of a recorded episode: what each shepherd saw, and what it was told to do.
+Whole steps of a recorded episode: the scan and the command of each shepherd.
 
 All that learns from recordings starts here, whether from bags or from what was built of them.
 """
@@ -47,7 +47,7 @@ class Steps:
 
     @property
     def where(self) -> str:
-        """Return what messages call the episode."""
+        """Return the name of the episode in messages."""
         return f'{self.bag}:{self.episode}'
 
 
@@ -97,7 +97,7 @@ def _single(command: Floats | None) -> NDArray[np.float32] | None:
 
 
 def _lack(scan: Ranges | None, command: NDArray[np.float32] | None) -> str:
-    """Return what is wrong with the step of a shepherd, empty if nothing is."""
+    """Return the fault of the step of a shepherd, empty without one."""
     if command is None:
         return 'no command'
     if not np.isfinite(command).all():

@@ -12,7 +12,7 @@ CONFIDENCE = 0.95
 
 
 def drawn_again(episodes: int, draws: int = DRAWS, seed: int = 0) -> NDArray[np.int64]:
-    """Return which episodes each draw takes, (draws, episodes); always the same ones."""
+    """Return the indices of the episodes of each draw, (draws, episodes); always the same."""
     return np.random.default_rng(seed).integers(0, episodes, (draws, episodes))
 
 

@@ -1,4 +1,4 @@
-"""Which cells an experiment needs, which of them are not done yet, and doing those."""
+"""Plan and run of the cells that an experiment still lacks."""
 
 from __future__ import annotations
 

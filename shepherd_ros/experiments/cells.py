@@ -35,7 +35,7 @@ class Cell:
         }
 
     def cost(self) -> float:
-        """Return about how long it takes [s] on one core; only for the time that is left."""
+        """Return the estimated time [s] on one core, for the display of the time left."""
         n, m = self.setting.sheep, self.setting.shepherds
         flock = (0.8 + 0.003 * n) * n
         policy = 250.0 * m if self.controller.startswith('policy') else 50.0

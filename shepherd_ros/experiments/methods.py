@@ -1,4 +1,4 @@
-"""Who drives in an experiment: a controller by its name, a policy as policy:CHECKPOINT."""
+"""Methods of an experiment: controllers by name, policies as policy:CHECKPOINT."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def checkpoint_of(name: str) -> str:
 
 
 def label(name: str) -> str:
-    """Return how pictures and pages name a method; ours are marked."""
+    """Return the label of a method in pictures and pages; those of this project are marked."""
     checkpoint = checkpoint_of(name)
     return f'policy {checkpoint} (ours)' if checkpoint else kind_of(name).label or name
 

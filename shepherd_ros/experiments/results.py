@@ -25,7 +25,7 @@ KINDS = {int: pa.int64(), float: pa.float64(), bool: pa.bool_(), str: pa.string(
 
 
 def value_names() -> tuple[str, ...]:
-    """Return what is counted in every episode: the metrics and `return`."""
+    """Return the names of the values of every episode: the metrics and `return`."""
     return (*METRICS, 'return')
 
 
@@ -160,14 +160,14 @@ class Results:
         return len(self.columns['seed'])
 
     def where(self, **values: Any) -> np.ndarray:
-        """Return which rows have these values, (rows,) bool."""
+        """Return the mask of the rows with these values, (rows,) bool."""
         mask = np.ones(len(self), bool)
         for name, value in values.items():
             mask &= self.columns[name] == value
         return mask
 
     def in_environment(self, environment: EnvConfig) -> np.ndarray:
-        """Return which rows are of this environment, however long and called; (rows,) bool."""
+        """Return the mask of the rows of this environment, whatever its length; (rows,) bool."""
         return np.isin(self.columns['key'], self._keys.get(_timeless(environment), []))
 
     @cached_property

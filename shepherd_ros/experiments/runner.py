@@ -1,4 +1,4 @@
-"""Run whole episodes of a controller, as many worlds at a time as fit."""
+"""Whole episodes of a controller, as many worlds at a time as fit."""
 
 from __future__ import annotations
 

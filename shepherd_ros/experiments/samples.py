@@ -30,12 +30,12 @@ class Samples:
 
     @property
     def controllers(self) -> list[str]:
-        """Return who drove, in the order of pictures."""
+        """Return the names of the controllers, in the order of pictures."""
         return sorted_methods(list({name for name, _ in self.values}))
 
     @property
     def policies(self) -> list[str]:
-        """Return the learned ones among those who drove."""
+        """Return the names of the learned controllers."""
         return [name for name in self.controllers if name.startswith('policy:')]
 
     @property

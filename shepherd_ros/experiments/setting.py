@@ -69,7 +69,7 @@ _TEXTS = {
 
 
 def describe_setting(setting: Setting) -> str:
-    """Return in words how a setting differs from the default one."""
+    """Return the differences of a setting from the default one, in words."""
     base = settled(Setting(preset=setting.preset, flock=setting.flock))
     plain = Setting()
     words = [
@@ -107,7 +107,7 @@ def env_config(setting: Setting) -> EnvConfig:
 
 
 def changes_of(setting: Setting) -> dict[str, Any]:
-    """Return what a setting changes of its preset's world with its flock, by path."""
+    """Return the changes of a setting to its preset's world with its flock, by path."""
     before = _base(setting).values()
     return {p: value for p, value in env_config(setting).values().items() if value != before[p]}
 

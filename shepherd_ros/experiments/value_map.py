@@ -1,4 +1,4 @@
-"""What a critic thinks of each place for a third shepherd (figure 9)."""
+"""Value map: a critic's values of the places of a third shepherd (figure 9)."""
 
 from __future__ import annotations
 

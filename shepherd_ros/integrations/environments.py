@@ -32,7 +32,7 @@ ID = 'shepherd_ros/Herding-v0'
 
 
 def spaces_of(config: EnvConfig) -> tuple[spaces.Box, spaces.Box]:
-    """Return what one shepherd sees and does."""
+    """Return the spaces of the observation and of the action of one shepherd."""
     observation, lidar = config.observation, config.lidar
     highest = max(lidar.range_max / (observation.unit or lidar.range_max), observation.none_value)
     types, n_rays = lidar.layout.shape
@@ -201,11 +201,11 @@ class HerdingParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         self.action_spaces = dict.fromkeys(self.possible_agents, done)
 
     def observation_space(self, agent: str) -> spaces.Box:
-        """Return what an agent sees."""
+        """Return the observation space of an agent."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Box:
-        """Return what an agent does."""
+        """Return the action space of an agent."""
         return self.action_spaces[agent]
 
     def reset(

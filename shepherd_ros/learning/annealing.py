@@ -1,4 +1,4 @@
-"""How long an action is held in training: long at first, which explores, one step in the end."""
+"""Annealing of action_repeat in training: long holds explore at first, single steps come last."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def stages(first: PolicyConfig, config: AnnealConfig) -> list[PolicyConfig]:
 
 
 def stage_at(share: float, count: int, config: AnnealConfig) -> int:
-    """Return which of so many stages it is when a share of the samples is used up."""
+    """Return the stage, of `count`, after a share of the samples."""
     if share < config.anneal_start:
         return 0
     rest = (share - config.anneal_start) / max(1 - config.anneal_start, 1e-9)

@@ -1,4 +1,4 @@
-"""Behaviour cloning: fit the actor's mean to what was done by a better one."""
+"""Behaviour cloning: fit of the actor's mean to the commands of a teacher."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Examples:
 
 
 def running_mean(keep: float) -> Callable[[Weights, Weights, Tensor | int], None]:
-    """Return how a mean that keeps a share of itself takes in new weights, faster at first."""
+    """Return the update of a running mean with this decay, which is faster at first."""
 
     def take_in(kept: Weights, new: Weights, count: Tensor | int) -> None:
         share = max(1 - keep, EMA_WARMUP_STEPS / (float(count) + EMA_WARMUP_STEPS))

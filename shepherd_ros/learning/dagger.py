@@ -1,5 +1,5 @@
 """
-DAgger (Ross, Gordon and Bagnell 2011): learn what a teacher would do where the learner goes.
+DAgger (Ross, Gordon and Bagnell 2011): a teacher labels the states that the learner visits.
 
 The teacher sees the true state, the learner its lidar.
 """
@@ -85,7 +85,7 @@ def _teacher(name: str, world: WorldConfig) -> Controller:
 
 
 class LabelledWorlds:
-    """A group of worlds in which a learner drives and a teacher says what it would do."""
+    """A group of worlds in which a learner drives and a teacher labels the states."""
 
     def __init__(
         self, config: DaggerConfig, policy: Policy, index: int, dtype: torch.dtype
@@ -116,7 +116,7 @@ class LabelledWorlds:
         self.learned = inference.begin(self.policy, (worlds,), team, self.dtype)
 
     def _label(self, state: WorldState) -> Tensor:
-        """Return what the teacher would do, or the one for a flock that is home; (B, H, 2) m/s."""
+        """Return the commands of the teacher for this place of the flock, (B, H, 2) m/s."""
         label, self.taught = self.teacher.act(state, self.taught)
         if self.home_teacher is None:
             return label
@@ -125,7 +125,7 @@ class LabelledWorlds:
         return torch.where((away < self.config.home_distance)[:, None, None], at_home, label)
 
     def _command(self, now: Moment) -> Tensor:
-        """Return what the learner does, (B, H, 2) m/s."""
+        """Return the learner's commands, (B, H, 2) m/s."""
         command, self.learned = inference.act(
             self.policy,
             lambda: now.ranges,

@@ -1,5 +1,5 @@
 """
-Where a learner went, as bags: driven by whoever drove, with what the teacher would have done.
+Bags of DAgger: the episodes as they were driven, with the teacher's commands as labels.
 
 The commands of such a bag are those that moved its world, so it is a bag like any other. The
 labels of the teacher are on the same topics in a namespace of their own, as they would be if the

@@ -12,22 +12,22 @@ GROUP_TIMEOUT = timedelta(days=30)  # that one rank may wait for another
 
 
 def rank() -> int:
-    """Return which of torchrun's processes this is, counted from 0 over all machines."""
+    """Return the rank of this process among those of torchrun, over all machines."""
     return int(os.environ.get('RANK', '0'))
 
 
 def ranks() -> int:
-    """Return how many processes torchrun has started over all machines, 1 without it."""
+    """Return the number of processes of torchrun over all machines, 1 without it."""
     return int(os.environ.get('WORLD_SIZE', '1'))
 
 
 def device_index() -> int:
-    """Return which GPU of this machine is for this process."""
+    """Return the index of the GPU of this process on its machine."""
     return int(os.environ.get('LOCAL_RANK', '0'))
 
 
 def wait_for_all() -> None:
-    """Return when every process has come here; at once where there is one."""
+    """Wait until every process is here; return at once where there is one."""
     if ranks() > 1:
         _distributed().barrier()
 

@@ -60,13 +60,13 @@ class WorldGroup:
         self.left, self.episode = steps, self.episode + 1
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the episode and where it is."""
+        """Return the number of the episode and its state."""
         now = self.moment.state
         state = {f.name: getattr(now, f.name) for f in fields(now)}
         return {'episode': self.episode, 'left': self.left, 'state': state}
 
     def load_state_dict(self, kept: dict[str, Any]) -> None:
-        """Go on from what state_dict() gave."""
+        """Restore the state that state_dict() returned."""
         self.episode = kept['episode'] - 1
         self.begin(kept['left'])
         state = {name: t.to(self.device) for name, t in kept['state'].items()}

@@ -81,16 +81,16 @@ class PPOLearner:
         )
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all that learning goes on from."""
+        """Return the state of the optimisers and the networks."""
         return {name: part.state_dict() for name, part in self._parts().items()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from what state_dict() gave."""
+        """Restore the state that state_dict() returned."""
         for name, part in self._parts().items():
             part.load_state_dict(state[name])
 
     def _parts(self) -> dict[str, Any]:
-        """Return what has a state, by name."""
+        """Return the parts that have a state, by name."""
         return {
             'policy': self.policy,
             'actor': self.actor,
@@ -115,7 +115,7 @@ class PPOLearner:
         self, store: Store, batch: Batch, generator: torch.Generator, actor: bool = True
     ) -> dict[str, float]:
         """
-        Learn from a batch, in place; return what to watch. actor False: critic only.
+        Learn from a batch, in place; return logged scalars. actor False: critic only.
 
         Where there are several processes, each has a batch of its own, and all take the steps of
         the whole: gradients are means over all samples of a minibatch, wherever they are.

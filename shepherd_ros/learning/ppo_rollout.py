@@ -1,4 +1,4 @@
-"""Decisions of a policy in many worlds at once, with all that a learner wants to know of them."""
+"""Rollout of a policy in many worlds at once, with values, rewards and advantages for PPO."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def log_prob(action: Tensor, mean: Tensor, std: Tensor) -> Tensor:
 
 
 class Rollout:
-    """Groups of worlds and a store of what their shepherds saw."""
+    """Groups of worlds with a store of their observations."""
 
     def __init__(
         self,
@@ -179,7 +179,7 @@ class Rollout:
         self.store.roll()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all that collecting goes on from, after roll()."""
+        """Return the state of the rollout, after roll()."""
         return {
             'groups': [group.state_dict() for group in self.groups],
             'generator': self.generator.get_state(),
@@ -187,7 +187,7 @@ class Rollout:
         }
 
     def load_state_dict(self, kept: dict[str, Any]) -> None:
-        """Go on from what state_dict() gave."""
+        """Restore the state that state_dict() returned."""
         for group, state in zip(self.groups, kept['groups'], strict=True):
             group.load_state_dict(state)
         self.generator.set_state(kept['generator'].to(CPU))

@@ -1,4 +1,4 @@
-"""The folder of a training run: what it was asked, how it goes, and where it can go on."""
+"""Folder of a training run: its configuration, its curve, its state and its best policy."""
 
 from __future__ import annotations
 

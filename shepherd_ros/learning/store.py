@@ -1,4 +1,4 @@
-"""The store of a rollout: what shepherds saw, kept once for all decisions that show it."""
+"""Store of the observations of a rollout, each reading kept once for all frames that show it."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Store:
         self.mask = torch.zeros(shape, dtype=torch.bool, device=device)
 
     def put(self, group: int, row: int, moment: Moment, starts: bool = False) -> None:
-        """Put what a group sees now in a row; starts: its episode begins there."""
+        """Put the observations of a group in a row; starts: its episode begins there."""
         self.store[group, row] = self.policy.scaled(moment.ranges).to(self.store.dtype)
         self.first[group, row] = self.policy.first_ray(moment.ranges)
         self.begun[group, row] = row if starts else self.begun[group, row - 1]
@@ -74,10 +74,10 @@ class Store:
         self.begun[:, : self.before + 1] = begun.clamp(min=0)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what later decisions see, after roll()."""
+        """Return the rows that later decisions read, after roll()."""
         return {name: getattr(self, name)[:, : self.before + 1].clone() for name in self.KEPT}
 
     def load_state_dict(self, kept: dict[str, Any]) -> None:
-        """Go on from what state_dict() gave."""
+        """Restore the state that state_dict() returned."""
         for name in self.KEPT:
             getattr(self, name)[:, : self.before + 1] = kept[name]

@@ -1,4 +1,4 @@
-"""What is trained on: the worlds that training episodes are drawn from."""
+"""Task of a training: the worlds that its episodes are drawn from."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from shepherd_ros.sim.world_parameters import WORLD_PARAMETERS
 @dataclass(frozen=True)
 class TaskConfig(Extended):
     """
-    What each episode is drawn from and what it pays; the defaults are the paper's training.
+    Distribution of episodes and their reward; the defaults are the paper's training.
 
     Everything is drawn evenly, but for sheep on a logarithmic scale. Parameters of the world that
     plug-ins add are the same in all episodes.

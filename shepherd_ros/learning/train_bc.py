@@ -79,7 +79,7 @@ def train_bc(
     on_line: Callable[[dict[str, Any]], None] = lambda line: None,
 ) -> Report:
     """
-    Fit a policy to bags or data sets, in place; return what was found in them.
+    Fit a policy to bags or data sets, in place; return the report on them.
 
     Examples go through a store from which batches are drawn, so that neighbours in time are
     learned apart. What is judged and kept is a running mean of the weights. Raises ConfigError

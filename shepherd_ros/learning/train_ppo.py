@@ -1,4 +1,4 @@
-"""Train by PPO in the simulator: the loop, its record, and going on after an interruption."""
+"""Training by PPO in the simulator: the loop, its logs, and resuming."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Training:
         )
 
     def round(self) -> dict[str, float]:
-        """Collect and learn once; return what to watch."""
+        """Collect and learn once; return logged scalars."""
         config, repeat = self.config, self.policy.config.action_repeat
         used = self.progress['samples'] / config.samples
         stage = stage_at(used, len(self.stages), config.anneal)
@@ -97,7 +97,7 @@ class Training:
         return seen | {'action_repeat': float(repeat)}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all that training goes on from."""
+        """Return the state of the training."""
         return {
             'learner': self.learner.state_dict(),
             'rollout': self.rollout.state_dict(),
@@ -106,7 +106,7 @@ class Training:
         }
 
     def load_state_dict(self, kept: dict[str, Any]) -> None:
-        """Go on from what state_dict() gave."""
+        """Restore the state that state_dict() returned."""
         self.progress = dict(kept['progress'])
         self.enter(int(self.progress['stage']))
         self.learner.load_state_dict(kept['learner'])

@@ -57,7 +57,7 @@ class EpisodeProbe(ShepherdNode):
 
     @property
     def hears_all(self) -> bool:
-        """Return whether something of everything was heard."""
+        """Return whether states, scans and all metrics have arrived."""
         return bool(self.states and self.scans and len(self.metrics) == len(METRICS))
 
     def whole(self) -> tuple[np.ndarray, WorldState]:

@@ -1,4 +1,4 @@
-"""Where commands come in: which count, which are refused, and who is silent."""
+"""Commands of the shepherds to flock_sim: accepted, refused and missing ones."""
 
 from __future__ import annotations
 
@@ -215,7 +215,7 @@ class FlockCommands:
         self.rivals = rivals
 
     def diagnose(self) -> DiagnosticStatus:
-        """Return what is wrong with commands, by name."""
+        """Return the diagnostics of the commands."""
         self.find_rivals()
         level, message = OK, 'every shepherd answers'
         if self.named:

@@ -216,7 +216,7 @@ class FlockSim(ShepherdNode):
                     self.ticker.timer_period_ns = round(self.period * 1e9)
 
     def diagnose(self) -> list[DiagnosticStatus]:
-        """Return how the episode goes and what is wrong with commands."""
+        """Return the diagnostics of the episode and of the commands."""
         wanted = 1 / self.period if self.mode == 'realtime' else 0.0
         rate, fault = self.pacing.report(self.wall(), wanted)
         episode = self.status(

@@ -11,7 +11,7 @@ MAX_LACKING = 2.0  # steps behind that are no jitter of a timer
 
 
 class Pacing:
-    """Whether flock_sim may move its world."""
+    """State of the pause and of the first step of flock_sim."""
 
     def __init__(self, now: float) -> None:
         """Wait for readers from now on, in [s] of wall time."""

@@ -1,4 +1,4 @@
-"""What flock_sim publishes of the world."""
+"""Publishers of flock_sim."""
 
 from __future__ import annotations
 

@@ -105,7 +105,7 @@ class Player(ShepherdNode):
         self.stopped.wait(LATCHED_LEAD)
 
     def messages(self) -> Iterator[BagMessage]:
-        """Yield what is to be played: before the start only what is latched by then."""
+        """Yield the messages to play; before the start only latched ones."""
         first = self.bag.start_ns
         start = first + round(self.options.start_offset * NS_PER_SECOND)
         end = first + round(self.options.until * NS_PER_SECOND) if self.options.until else None
@@ -192,7 +192,7 @@ class Player(ShepherdNode):
         return response
 
     def diagnose(self) -> list[DiagnosticStatus]:
-        """Return how far the bag has come."""
+        """Return the diagnostics of the playback."""
         state = 'playing' if self.running.is_set() else 'paused'
         elapsed = (self.at_ns - self.bag.start_ns) / NS_PER_SECOND
         return [

@@ -1,4 +1,4 @@
-"""What a recorder did not get: gaps in the numbers of publications, and what DDS reports lost."""
+"""Lost messages of a recorder: gaps in publication numbers, and losses that DDS reports."""
 
 from __future__ import annotations
 
@@ -105,11 +105,11 @@ class Losses:
         return id(self.topics[topic].take(number, lambda: self.publishers(topic)))
 
     def dropped(self, topic: str, count: int) -> None:
-        """Take what DDS reports lost."""
+        """Count messages that DDS reports lost."""
         self.drops[topic] += count
 
     def lost(self, topic: str, event: Any) -> None:
-        """Take the event by which DDS reports losses."""
+        """Count the losses of an event of DDS."""
         self.dropped(topic, event.total_count_change)
 
     def by_topic(self) -> Counter[str]:

@@ -83,7 +83,7 @@ class Recorder(ShepherdNode):
     # ---- messages ----
 
     def take(self, everything: bool = False) -> None:
-        """Take what has come."""
+        """Take the messages that have arrived."""
         for name, raw, info in self.intake.take(everything):
             self.receive(name, raw, info)
 

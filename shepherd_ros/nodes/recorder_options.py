@@ -1,4 +1,4 @@
-"""What a recorder is told on its command line: rosbag2's words, and a few of ours."""
+"""Options of the recorder on its command line: those of rosbag2, and a few more."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class RecorderOptions:
             raise ConfigError(f'{what} ({error})') from None
 
     def wish(self, resolve: Callable[[str], str]) -> Callable[[str], bool]:
-        """Return which full names to record; resolve(name) makes a full name of a relative one."""
+        """Return the filter of full topic names; resolve(name) completes a relative one."""
         regex, exclude = self.pattern('regex'), self.pattern('exclude')
         names = {resolve(name) for name in self.topics}
         services = {resolve(name) for name in self.services}

@@ -1,4 +1,4 @@
-"""What a recorder listens to: every topic as soon as may be, every message in its turn."""
+"""Subscriptions of a recorder: all topics that it is asked for, messages in order of arrival."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class RecorderSubscriptions:
     # ---- messages ----
 
     def take(self, everything: bool = False) -> list[Row]:
-        """Return what has come so far; everything: even what others may come in front of."""
+        """Return the messages so far, in order; everything: also those that may be overtaken."""
         self.group.open = False
         now, rows = time.time_ns() - self.wait_ns, self.kept
         for name, heard in self.inputs.items():

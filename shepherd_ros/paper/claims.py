@@ -1,4 +1,4 @@
-"""What the paper states (section 5), as quantities with bounds, and the rule of a verdict."""
+"""Claims of the paper (section 5) as quantities with bounds, and the rule of a verdict."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Where = Callable[[Array], NDArray[np.bool_]]  # which points of the axis
 
 
 class MissingError(Exception):
-    """What a quantity needs and the rows do not have."""
+    """Error for a quantity that needs rows that are not there."""
 
 
 class Sweep:
@@ -96,7 +96,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class ClauseFinding:
-    """What came of a clause: our number, its interval, the verdict, and why if there is none."""
+    """Result of a clause: our number, its interval, the verdict, or the reason for none."""
 
     clause: Clause
     value: float
@@ -121,7 +121,7 @@ def verdict(low: float, high: float, least: float, most: float) -> str:
 
 
 def finding_of(clause: Clause, sweep: Sweep) -> ClauseFinding:
-    """Return what the rows say about a clause."""
+    """Return the finding on a clause."""
     nan = math.nan
     if len(sweep.samples.seeds) < 2:
         return ClauseFinding(clause, nan, nan, nan, UNDECIDED, 'a single episode has no interval')

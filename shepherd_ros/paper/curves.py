@@ -77,7 +77,7 @@ def smoothed(curve: Curve, window: float = SMOOTHING_WINDOW) -> Array:
 
 
 def rise_and_end(curve: Curve) -> tuple[float, float]:
-    """Return how much the return rises in all, and the share of it in the last fifth."""
+    """Return the rise of the return, and the share of it in the last fifth."""
     last = curve.samples[-1]
     late = curve.samples >= (1 - END_SHARE) * last
     tenth = max(len(curve.samples) // 10, 1)

@@ -36,7 +36,7 @@ SPARE_STYLES = [
 
 
 def style_of(name: str, names: Sequence[str]) -> dict[str, Any]:
-    """Return how a method is drawn; names are those of the picture, in its order."""
+    """Return colour, line and marker of a method; names are those of the picture, in its order."""
     free = [other for other in names if kind_of(other).style is None]
     color, line, marker = kind_of(name).style or SPARE_STYLES[free.index(name) % len(SPARE_STYLES)]
     return {

@@ -70,7 +70,7 @@ KnownTables = dict[str, pa.Table]  # rows of cells by what decides them
 
 @dataclass(frozen=True)
 class Tried:
-    """A candidate, and what came of the numbers about the baselines alone."""
+    """A candidate with the verdicts on the clauses about the baselines alone."""
 
     candidate: Candidate
     verdicts: dict[str, str]  # by statement and number
@@ -79,7 +79,7 @@ class Tried:
 
     @property
     def score(self) -> float:
-        """Return what the verdicts are worth."""
+        """Return the score of the verdicts."""
         return worth(self.verdicts.values())
 
     @property
@@ -90,7 +90,7 @@ class Tried:
 
 
 def gap_of(value: float, low: float, high: float) -> float:
-    """Return how far a number is from its bounds, over the nearer one; inf for NaN."""
+    """Return the gap of a number to its bounds, over the nearer one; inf for NaN."""
     if math.isnan(value):
         return math.inf
     bound = min(max(value, low), high)
@@ -121,7 +121,7 @@ def findings(
     preset: Preset, episodes: int, steps: int = 1000, known: KnownTables | None = None
 ) -> dict[str, ClauseFinding]:
     """
-    Run the baselines in a preset; return what comes of the numbers about them alone, by text.
+    Run the baselines in a preset; return the findings on clauses about them alone, by text.
 
     Cells that known holds are not run again; those that are run are put there.
     """
@@ -153,7 +153,7 @@ def findings(
 
 
 def worth(verdicts: Iterable[str]) -> float:
-    """Return how many numbers agree; one that is undecided counts half."""
+    """Return the number of verdicts that agree; an undecided one counts half."""
     return sum({AGREES: 1.0, UNDECIDED: 0.5}.get(verdict, 0.0) for verdict in verdicts)
 
 
@@ -189,7 +189,7 @@ def proposals(seed: int, known: list[Tried]) -> Iterator[Candidate]:
 
 
 def read_tried(path: Path) -> list[Tried]:
-    """Return what a file holds, a line each; nothing if it is not there; or ConfigError."""
+    """Return the candidates of a file, one a line; none without the file; or raise ConfigError."""
     if not path.exists():
         return []
     found = []

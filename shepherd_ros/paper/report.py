@@ -99,7 +99,7 @@ def page(
 
 
 def origin(rows: Results) -> str:
-    """Return where rows come from, in a sentence."""
+    """Return the sentence on the origin of the results."""
     code = ', '.join(f'`{c}`' for c in rows.distinct('code') if c) or 'not known'
     versions = ', '.join(rows.distinct('version'))
     return f'{len(rows)} episodes, version {versions}, commit {code} (+: with changes).'
@@ -127,7 +127,7 @@ def trial(samples: Mapping[str, Samples]) -> list[str]:
 
 
 def policies(names: Sequence[str]) -> list[str]:
-    """Return a table of how policies were trained."""
+    """Return a table of the policies with the commands that trained them."""
     lines = ['| policy | trained by | sha256 |', '|---|---|---|']
     lines += [
         f'| {label(name)} | `{how_made(name)}` | `{checkpoint_hash(name)[:12]}` |'
@@ -137,7 +137,7 @@ def policies(names: Sequence[str]) -> list[str]:
 
 
 def verdict_summary(outcomes: Sequence[Verdict]) -> list[str]:
-    """Return how many statements have which verdict, by figure; with all policies that count."""
+    """Return the table of the number of statements with each verdict, by figure."""
     lines = [f'| | {" | ".join(VERDICTS)} |', '|---|--:|--:|--:|']
     total: Counter[str] = Counter()
     for name, title in TITLES.items():

@@ -31,7 +31,7 @@ MAPS = 20  # starts of which the critic's values are looked at
 
 @dataclass(frozen=True)
 class Verdict:
-    """A statement, who stands for RL in it, and what came of its clauses."""
+    """A statement, the policy that stands for RL in it, and the findings on its clauses."""
 
     experiment: str
     statement: str

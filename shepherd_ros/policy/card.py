@@ -54,13 +54,13 @@ def card(name: str, policy: Policy, record: Mapping[str, Any]) -> str:
 
 
 def printable(value: object) -> str:
-    """Return what a file says as text that neither a terminal nor Markdown takes for more."""
+    """Return text from a file without control characters and Markdown syntax."""
     text = str(value)[:MAX_TEXT_LENGTH]
     return (text if text.isprintable() else ascii(text)).replace('`', "'").replace('|', '/')
 
 
 def _evaluation(results: Any) -> list[str]:
-    """Return what training measured on the starts that it chose the checkpoint on."""
+    """Return the section of the evaluation by which the checkpoint was chosen."""
     if not isinstance(results, Mapping):
         return []
     head = [

@@ -1,4 +1,4 @@
-"""A policy within an episode: what it remembers of its scans, and when it decides."""
+"""Inference of a policy within an episode: memory of scans, and decisions every few steps."""
 
 from __future__ import annotations
 

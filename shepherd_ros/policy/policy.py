@@ -1,4 +1,4 @@
-"""What a learned shepherd is: sensors, frames, network; from scans to velocities."""
+"""Policy of a learned shepherd: sensors, frames and network, from scans to velocities."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from torch import nn, Tensor
 
 @dataclass(frozen=True)
 class PolicyConfig(Config):
-    """What a policy was trained for; an episode has to agree with it."""
+    """Configuration that a policy was trained for; an episode has to agree with it."""
 
     dt: float = option(0.5, 'seconds per step', low=0.001, high=10.0)
     action_repeat: int = option(1, 'steps that one action is held', low=1, high=1000)
@@ -47,7 +47,7 @@ class PolicyConfig(Config):
 
     @property
     def frames(self) -> Frames:
-        """Return which readings are seen, one at each decision."""
+        """Return the frames of the observation, counted in decisions."""
         return Frames(self.observation.n_frames, self.observation.spacing // self.action_repeat)
 
 
@@ -67,7 +67,7 @@ class Policy(nn.Module):
 
     @property
     def device(self) -> torch.device:
-        """Return where the networks are."""
+        """Return the device of the networks."""
         return next(self.parameters()).device
 
     def with_config(self, config: PolicyConfig) -> Policy:

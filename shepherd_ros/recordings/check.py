@@ -1,4 +1,4 @@
-"""Checks that a recording is complete and ours: what a data set is made from has no gaps."""
+"""Check that a recording is complete and made by this project."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ PARTS = ('scans', 'commands')
 
 def check_bag(bag: Bag, require: Collection[str] = ()) -> CheckResult:
     """
-    Return what is wrong with a bag; damage in the middle is a finding too.
+    Return the findings on a bag; damage in the middle is one too.
 
     require names parts, scans or commands, that must have been recorded.
     """
@@ -54,7 +54,7 @@ def check_bag(bag: Bag, require: Collection[str] = ()) -> CheckResult:
 
 
 def _identity(bag: Bag) -> Iterator[Finding]:
-    """Yield what is wrong with types, schemas, contract and metadata of a bag."""
+    """Yield findings on types, schemas, contract and metadata of a bag."""
     for topic in bag.topics.values():
         ours = known(topic.name)
         if ours is None:
@@ -91,7 +91,7 @@ def _contract(bag: Bag) -> Iterator[Finding]:
 
 
 def _lost(text: str) -> Iterator[Finding]:
-    """Yield what a recorder says that it missed."""
+    """Yield findings on messages that the recorder reports lost."""
     try:
         for topic, count in json.loads(text).items():
             what = f'{int(count)} messages did not reach the recorder'
@@ -190,7 +190,7 @@ def _check_group(
 def _counts(
     group: RecordedGroup, state: RecordedState, place: tuple[int, int, int]
 ) -> Iterator[Finding]:
-    """Yield what is wrong with the sizes of the arrays of a state."""
+    """Yield findings on the sizes of the arrays of a state."""
     info = group.info
     for poses, name, count in (
         (state.sheep, SHEEP_POSES, info.n_sheep),

@@ -1,4 +1,4 @@
-"""What would have become of a recorded episode under another controller from some state on."""
+"""Counterfactual episodes: recorded up to a state, then driven by another controller."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class Finding:
 
 @dataclass
 class CheckResult:
-    """What was found in a bag."""
+    """Result of a check of a bag."""
 
     findings: list[Finding] = field(default_factory=list)  # the first MOST
     absent: list[str] = field(default_factory=list)  # parts that were not recorded at all

@@ -37,7 +37,7 @@ CLOSING_STEP = 2  # an episode ends for good when the next one has a state with 
 
 @dataclass
 class RecordedState:
-    """What was recorded for one state; only what arrived first counts."""
+    """Messages of one state; the first of each topic counts."""
 
     sheep: Poses | None = None
     shepherds: Poses | None = None

@@ -1,4 +1,4 @@
-"""What is in a bag, as `ros2 bag info` says it, and its episodes."""
+"""Summary of a bag as `ros2 bag info` prints it, with its episodes."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class BagInfo:
         return self.end_ns - self.start_ns
 
     def text(self) -> str:
-        """Return what `ros2 bag info` prints, with compression and episodes."""
+        """Return the text of `ros2 bag info`, with compression and episodes."""
         rows = [
             ('Files:', self.files),
             ('Bag size:', [_size(self.size)]),
@@ -75,7 +75,7 @@ class BagInfo:
 
 
 def bag_info(bag: Bag) -> BagInfo:
-    """Return what is in a bag; raises BagError where its poses cannot be read."""
+    """Return the summary of a bag; raises BagError where its poses cannot be read."""
     packed = {name or 'none' for storage in bag.storages for name in storage.compressions}
     episodes = []
     for namespace in namespaces(bag):

@@ -35,12 +35,12 @@ def _keep_episode(custom_data: dict[str, str], topic: str, cdr: bytes) -> None:
 def recover_recording(
     path: Path | str, folder: Path | str | None = None, *, compression: str = 'none'
 ) -> RecoverResult:
-    """Return what recover() does; the first episode goes into the metadata as in recordings."""
+    """Recover a bag as recover() does; the metadata gets the first episode, as in recordings."""
     return recover(path, folder, compression=compression, on_message=_keep_episode)
 
 
 def offered_qos(profile: Profile) -> Qos:
-    """Return what a publisher with a profile of the contract offers."""
+    """Return the quality of service that a publisher with a profile of the contract offers."""
     return Qos(profile.reliability, profile.durability, 'keep_last', profile.depth)
 
 

@@ -1,4 +1,4 @@
-"""What a controller answers to recorded states, beside what was recorded, message by message."""
+"""Comparison of a controller's commands on recorded states with the recorded ones."""
 
 from __future__ import annotations
 

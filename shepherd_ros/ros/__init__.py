@@ -1,4 +1,4 @@
-"""What nodes share of ROS: base class, parameters, executors, transport, subscribers."""
+"""Parts of nodes: base class, parameters, executors, transport, subscribers."""
 
 __all__ = [
     'episode_subscriber',

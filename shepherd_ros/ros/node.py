@@ -1,4 +1,4 @@
-"""What all nodes share: topics from the contract, parameters from options, diagnostics."""
+"""Base class of nodes: topics from the contract, parameters from options, diagnostics."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ class ShepherdNode(ParameterNode):
         return 0
 
     def diagnose(self) -> list[DiagnosticStatus]:
-        """Return what to tell on /diagnostics."""
+        """Return the statuses for /diagnostics."""
         return [self.status('node', OK, 'running')]
 
     def publishers_of(self, topic: str) -> list[str]:

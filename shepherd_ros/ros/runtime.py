@@ -1,4 +1,4 @@
-"""Start nodes, spin them, and end with a clear word and the right exit code."""
+"""Life of a node's process: start, spin, end with a message and the right exit code."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def spin(nodes: Sequence[ShepherdNode], until: Callable[[], bool] = lambda: Fals
 
 
 def help_text(node: ShepherdNode, doc: str) -> str:
-    """Return what a node does and its parameters with their defaults."""
+    """Return the help of a node: its purpose, and its parameters with their defaults."""
     lines = [doc.strip(), '', 'Parameters (--ros-args -p name:=value, or --params-file FILE):']
     for name in sorted(node.list_parameters([], 0).names):
         described = node.describe_parameter(name)

@@ -1,4 +1,4 @@
-"""Hear the lidars: put together the scans of each shepherd, stamp by stamp."""
+"""Subscriber of the lidars: scans of each shepherd, put together by stamp."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ScanListener:
         self._parts: dict[int, dict[str, np.ndarray]] = {}
 
     def listen_to(self, shepherds: list[int]) -> None:
-        """Hear these shepherds and no others, from now on."""
+        """Subscribe to the scans of these shepherds, and to no others."""
         for h in self._inputs.keys() - set(shepherds):
             for subscription in self._inputs.pop(h):
                 self.node.destroy_subscription(subscription)

@@ -1,4 +1,4 @@
-"""Hear the world: pair the poses of flock and shepherds by stamp, with goal and episode."""
+"""Subscriber of the world: poses of flock and shepherds paired by stamp, with goal and episode."""
 
 from __future__ import annotations
 

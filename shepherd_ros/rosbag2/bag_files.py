@@ -117,7 +117,7 @@ class BagFiles:
             write_whole(self.folder / FILE, self.metadata().document())
 
     def metadata(self) -> Metadata:
-        """Return what rosbag2 wants to know of the bag as it is on the disk."""
+        """Return the metadata of the bag as it is on the disk."""
         files, counts = list(self._done), Counter(self._counts)
         if self._file is not None:
             files.append(_file_info(self._file))

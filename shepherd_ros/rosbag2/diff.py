@@ -45,7 +45,7 @@ class DiffResult:
 
     @property
     def equal(self) -> bool:
-        """Return whether the bags say the same."""
+        """Return whether the contents are equal."""
         return all(topic.equal for topic in self.topics)
 
     def text(self) -> str:

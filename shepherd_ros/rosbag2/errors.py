@@ -1,4 +1,4 @@
-"""What goes wrong with bags: always which file, what is wrong with it, and what to do."""
+"""Errors of bags: the file, its fault, and the fix."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What rosbag2 of ROS 2 Jazzy says of a bag: metadata version 9, in metadata.yaml and in MCAP."""
+"""Metadata of rosbag2 in ROS 2 Jazzy: version 9, in metadata.yaml and in MCAP."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class Metadata:
 
     @classmethod
     def from_yaml(cls, text: str, path: Path) -> Metadata:
-        """Return what a text says, inner map or document, of any version; raises BagError."""
+        """Return the metadata in a text, map or document, of any version; raises BagError."""
         data = load_yaml(text, path)
         try:
             data = data.get(KEY, data)

@@ -61,7 +61,7 @@ class Bag:
 
     @cached_property
     def metadata(self) -> Metadata | None:
-        """Return what metadata.yaml says, or else the last file, None if nothing does."""
+        """Return the metadata of metadata.yaml, or else of the last file, None without any."""
         if self._metadata is not None:
             return self._metadata
         noted = (storage.metadata for storage in reversed(self.storages))
@@ -75,7 +75,7 @@ class Bag:
 
     @property
     def custom_data(self) -> dict[str, str]:
-        """Return what the recorder wrote into the metadata for itself."""
+        """Return the custom data in the metadata."""
         return self.metadata.custom_data if self.metadata else {}
 
     def messages(
@@ -204,7 +204,7 @@ def _folder(folder: Path) -> tuple[list[Path], Metadata | None]:
 
 
 def read_metadata(path: Path) -> Metadata:
-    """Return what a metadata.yaml says; raises BagError."""
+    """Return the metadata of a metadata.yaml; raises BagError."""
     if not path.is_file():  # a pipe would never end
         raise BagError(path, 'it is no file', 'expected the folder of a bag')
     try:

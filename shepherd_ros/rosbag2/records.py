@@ -51,7 +51,7 @@ _PARSED: dict[int, Any] = {
 
 
 class RecordRef(NamedTuple):
-    """Where a record lies in a file [bytes]."""
+    """Position of a record in a file [bytes]."""
 
     opcode: int
     offset: int
@@ -59,12 +59,12 @@ class RecordRef(NamedTuple):
 
     @property
     def body(self) -> int:
-        """Return where the body begins."""
+        """Return the offset of the body."""
         return self.offset + PREFIX.size
 
     @property
     def end(self) -> int:
-        """Return where the next record begins."""
+        """Return the offset of the next record."""
         return self.body + self.length
 
 
@@ -174,7 +174,7 @@ def _piecewise(read: Callable[[int], bytes], size: int) -> bytes:
 
 
 def contents(data: bytes, offset: int) -> Iterator[Message | Schema | Channel | Metadata]:
-    """Yield what lies in the data of a chunk that begins at offset; raises DamageError."""
+    """Yield the records in the data of a chunk that begins at offset; raises DamageError."""
     at, size = 0, len(data)
     while at < size:
         if at + PREFIX.size > size:
@@ -197,7 +197,7 @@ def contents(data: bytes, offset: int) -> Iterator[Message | Schema | Channel | 
 
 
 def read_record(file: BinaryIO, record: RecordRef) -> Any:
-    """Return what parse() makes of a record of a file; raises DamageError."""
+    """Return a record of a file, parsed by parse(); raises DamageError."""
     return parse(record.opcode, read_at(file, record.body, record.length), record.offset)
 
 

@@ -22,7 +22,7 @@ OnMessage = Callable[[dict[str, str], str, bytes], None]
 
 @dataclass
 class RecoverResult:
-    """What was kept and what was lost."""
+    """Counts of recovered and lost messages."""
 
     folder: Path  # of the new bag
     messages: int = 0

@@ -42,7 +42,7 @@ _OVERLAP = 64  # [bytes] more than such a head has
 
 class Salvage(Definitions):
     """
-    What is left of one file.
+    Readable part of a damaged file.
 
     Iterating yields messages in the order of the file; schemas, channels and text are filled
     meanwhile, those that the end of the file repeats at once. A chunk whose checksum is wrong is

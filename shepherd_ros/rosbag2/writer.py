@@ -139,7 +139,7 @@ class BagWriter:
             self.closed = True
 
     def metadata(self) -> Metadata:
-        """Return what metadata.yaml says or would say of what is on the disk."""
+        """Return the metadata of the bag, or that of the files on the disk while it is written."""
         return self._files.metadata()
 
     def _is_due(self, log_ns: int) -> bool:

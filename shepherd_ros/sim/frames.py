@@ -23,7 +23,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Frames:
-    """How many frames are seen together, and how many readings they are apart."""
+    """Number of frames of an observation, and the readings between them."""
 
     count: int
     apart: int

@@ -45,7 +45,7 @@ GOAL_CHANNEL = PAPER_CHANNELS.index('goal')
 
 @dataclass(frozen=True)
 class ScanLayout:
-    """What the numbers of a scan are: channels, the paper's first, each with as many rays."""
+    """Layout of a scan: channels, the paper's first, and the number of rays of each."""
 
     channels: tuple[str, ...]
     n_rays: int

@@ -103,7 +103,7 @@ def build(sheep, mask):
 
 @compiled
 def nothing():
-    """Return what stands for a grid where none is needed."""
+    """Return an empty grid."""
     few = np.zeros(1, np.int64)
     return np.float32(1), 0, 0, few, few, few
 

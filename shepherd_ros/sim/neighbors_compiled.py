@@ -1,4 +1,4 @@
-"""Who is near: the members of a flock within a distance, and the so many nearest ones."""
+"""Neighbors in a flock: those within a distance, and the k nearest ones."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations

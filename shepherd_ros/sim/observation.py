@@ -16,7 +16,7 @@ LAYOUTS = ('types', 'frames', 'ring')
 
 @dataclass(frozen=True)
 class ObservationConfig(Config):
-    """How scans become the input of a network."""
+    """Options of the network's input from scans."""
 
     n_frames: int = option(3, 'frames that are seen together', low=1, high=64)
     spacing: int = option(1, 'steps from one frame to the next', low=1, high=1000)
@@ -41,7 +41,7 @@ class ObservationConfig(Config):
 
     @property
     def frames(self) -> Frames:
-        """Return which readings are seen, one at each step."""
+        """Return the frames of the observation, counted in steps."""
         return Frames(self.n_frames, self.spacing)
 
 

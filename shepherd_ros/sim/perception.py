@@ -1,4 +1,4 @@
-"""What is perceived of the true state: positions with noise."""
+"""Perception: the true state with noise on positions."""
 
 from __future__ import annotations
 

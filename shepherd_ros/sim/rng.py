@@ -29,7 +29,7 @@ _MIX_2 = _signed(0x94D049BB133111EB)
 
 
 class Stream(IntEnum):
-    """What a random number is for; numbers of different streams are independent."""
+    """Purpose of a random number; numbers of different streams are independent."""
 
     FLOCK_PLACE = 1
     SHEPHERD_PLACE = 2

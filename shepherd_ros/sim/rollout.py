@@ -79,7 +79,7 @@ class Moment:
 
     @cached_property
     def truncated(self) -> Tensor:
-        """Return where the time limit is reached, (...) bool; values are to be bootstrapped."""
+        """Return the mask of worlds at the time limit, (...) bool; values are bootstrapped."""
         return self.state.step >= self.config.world.episode_steps
 
     def metrics(self, episode_steps: int | None = None) -> dict[str, Tensor]:

@@ -1,4 +1,4 @@
-"""How an episode starts (paper, section 4, with the goal at the origin)."""
+"""Start of an episode (paper, section 4, with the goal at the origin)."""
 
 from __future__ import annotations
 

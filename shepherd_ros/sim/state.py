@@ -1,4 +1,4 @@
-"""What the world is at one step."""
+"""State of the world at one step."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class WorldState:
 
     @cached_property
     def inside(self) -> Tensor:
-        """Return which sheep are in the goal, (..., N) bool."""
+        """Return the mask of sheep in the goal, (..., N) bool."""
         return (self.gap <= 0) & self.sheep_mask
 
     def world(self, index: int | slice | Tensor) -> WorldState:

@@ -1,4 +1,4 @@
-"""What is counted of an episode, step by step, for its metrics."""
+"""Tally of an episode, step by step, for its metrics."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class MetricsTally:
-    """What has been counted of an episode so far, (...) each unless said otherwise."""
+    """Counts and sums of an episode so far, (...) each unless said otherwise."""
 
     steps: Tensor
     completed: Tensor  # bool

@@ -16,12 +16,12 @@ from torch import Tensor
 
 
 def finite_command(command: Tensor) -> Tensor:
-    """Return which commands are finite; (..., H, 2) m/s -> (..., H) bool."""
+    """Return the mask of finite commands; (..., H, 2) m/s -> (..., H) bool."""
     return command.isfinite().all(dim=-1)
 
 
 def move(state: WorldState, command: Tensor, config: WorldConfig) -> Tensor:
-    """Return where the shepherds are dt later, (..., H, 2) m."""
+    """Return the positions of the shepherds dt later, (..., H, 2) m."""
     if compilable(state.shepherds, command) and command.shape == state.shepherds.shape:
         return compiled.move_compiled(state, command, config.shepherd_speed, config.dt)
     obeyed = (finite_command(command) & state.shepherd_mask)[..., None]

@@ -31,7 +31,7 @@ def _move(shepherds, mask, command, top, dt, moved):
 
 
 def move_compiled(state: WorldState, command: Tensor, top: float, dt: float) -> Tensor:
-    """Return what sim.transition.move() does."""
+    """Return the result of sim.transition.move()."""
     shepherds = flat_array(state.shepherds, 2)
     moved = np.empty_like(shepherds)
     numbers = np.float32(top), np.float32(dt)

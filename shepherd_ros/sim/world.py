@@ -17,7 +17,7 @@ from shepherd_ros.sim.world_parameters import WORLD_PARAMETERS
 
 @dataclass(frozen=True)
 class SpawnConfig(Config):
-    """Where agents start; defaults of the paper, section 4, for evaluation."""
+    """Distribution of the agents' start; defaults of the paper, section 4, for evaluation."""
 
     flock_distance_min: float = option(10.0, 'goal to flock, nearest [m]', low=0.0)
     flock_distance_max: float = option(20.0, 'goal to flock, farthest [m]', low=0.0)

@@ -1,4 +1,4 @@
-"""What pictures and animations share: colours, and a plane in metres that holds an episode."""
+"""Scene of pictures and animations: colours, and axes in metres that hold an episode."""
 
 from __future__ import annotations
 

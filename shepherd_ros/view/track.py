@@ -1,4 +1,4 @@
-"""What is drawn: the positions of an episode over time."""
+"""Track of an episode for pictures: positions over time."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ LAST = 1.5  # [s] that a GIF rests on its last frame before it starts anew
 
 
 def video_writer(path: Path, fps: float) -> Writer:
-    """Return what writes frames to a .gif or .mp4, or raise ConfigError before any is drawn."""
+    """Return the writer of frames to a .gif or .mp4; raise ConfigError before any is drawn."""
     if not 1 <= fps <= 50:
         raise ConfigError(f'fps is {fps}: expected a value in [1, 50], such as 20')
     if not path.parent.is_dir():

@@ -1,3 +1,3 @@
-"""What nodes and bags say to each other: topics, the episode, encoding and decoding, schemas."""
+"""Wire format of nodes and bags: topics, episode, encoding, decoding, schemas."""
 
 __all__ = ['contract', 'decode', 'encode', 'episode', 'schemas', 'topics']

@@ -1,4 +1,4 @@
-"""Which topics of a bag are ours, and the hashes that say that two ends mean the same."""
+"""Contract of topics: match of a bag's topics, and hashes that compare two versions."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class KnownTopic:
 
 @cache
 def _patterns() -> list[tuple[re.Pattern[str], Topic]]:
-    """Return what topics look like in a bag, the longest names first and families last."""
+    """Return the patterns of topic names in a bag, the longest first and families last."""
     rows = sorted(contract()[0].values(), key=lambda row: -len(row.name))
     patterns = []
     for row in (*rows, *families().values()):
@@ -48,7 +48,7 @@ def _patterns() -> list[tuple[re.Pattern[str], Topic]]:
 
 @cache
 def known(name: str) -> KnownTopic | None:
-    """Return what the contract says of a topic of a bag, None if nothing."""
+    """Return the entry of the contract for a topic of a bag, None without one."""
     for pattern, row in _patterns():
         match = pattern.fullmatch(name)
         if match is not None:

@@ -46,7 +46,7 @@ WORLD = {
 
 @dataclass(frozen=True)
 class Episode:
-    """What every node needs to know of the running episode."""
+    """Description of the running episode that every node reads."""
 
     number: int  # counted from 0 since flock_sim started
     seed: int

@@ -32,7 +32,7 @@ def wire_types() -> list[str]:
 
 
 def schema_name(type_name: str) -> str:
-    """Return where the text of a type lies in msg_schemas/: <package>/<Type>.msg."""
+    """Return the path of the text of a type in msg_schemas/: <package>/<Type>.msg."""
     return type_name.replace('/msg/', '/') + '.msg'
 
 

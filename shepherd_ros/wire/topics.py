@@ -59,7 +59,7 @@ class Topic:
 
 @cache
 def _table() -> Any:
-    """Return what the file holds."""
+    """Return the contents of topics.yaml."""
     return yaml.safe_load(share_file('msg_schemas', 'topics.yaml').read_text(encoding='utf-8'))
 
 

@@ -1,4 +1,4 @@
-"""What a flock model consists of."""
+"""Base class, parts and registry of flock models."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class FlockConfig(Config):
-    """What every flock has, and what it is to controllers, training and experiments."""
+    """Configuration of any flock: speed, and properties for controllers and experiments."""
 
     restless: ClassVar[bool] = False  # whether sheep move while no shepherd is near
     checkpoint: ClassVar[str] = 'imitation'  # the shipped one that was trained for it
@@ -24,7 +24,7 @@ class FlockConfig(Config):
 
     @property
     def notice_range(self) -> float:
-        """Return how near a shepherd has to be for a sheep to react [m]."""
+        """Return the distance within which sheep react to a shepherd [m]."""
         return 10.0
 
     @property
@@ -34,7 +34,7 @@ class FlockConfig(Config):
 
     @property
     def repulsion_range(self) -> float:
-        """Return how near sheep repel each other, r of Strömbom's places [m]; 1 if they do not."""
+        """Return the range of repulsion between sheep, r of Strömbom's places [m]; 1 if none."""
         return 1.0
 
 

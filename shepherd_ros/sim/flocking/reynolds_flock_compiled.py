@@ -130,7 +130,7 @@ def _reynolds(
 
 
 def reynolds_step(state: WorldState, config: Any, dt: float) -> tuple[Tensor, Tensor]:
-    """Return what sim.flocking.reynolds_flock.reynolds_flock_step() does."""
+    """Return the result of sim.flocking.reynolds_flock.reynolds_flock_step()."""
     sheep = flat_array(state.sheep, 2)
     new_sheep, new_heading = np.empty_like(sheep), np.empty_like(sheep)
     weights = (

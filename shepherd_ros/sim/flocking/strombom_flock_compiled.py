@@ -191,7 +191,7 @@ def _strombom(
 
 
 def strombom_step(state: WorldState, config: Any, dt: float) -> tuple[Tensor, Tensor]:
-    """Return what sim.flocking.strombom_flock.strombom_flock_step() does."""
+    """Return the result of sim.flocking.strombom_flock.strombom_flock_step()."""
     sheep = flat_array(state.sheep, 2)
     new_sheep, new_heading = np.empty_like(sheep), np.empty_like(sheep)
     weights = (
