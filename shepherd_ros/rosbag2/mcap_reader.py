@@ -34,7 +34,7 @@ CUT_OFF = 'it has no end: the recording was cut off'
 
 
 class ChunkRef(NamedTuple):
-    """Where messages lie: a chunk, or a run of messages outside chunks; times in ns."""
+    """Position of messages in a file: a chunk, or a run outside chunks; times in ns."""
 
     start_ns: int
     end_ns: int
@@ -74,7 +74,7 @@ class Storage(Definitions):
 
     @cached_property
     def metadata(self) -> Metadata | None:
-        """Return what the file says of the bag, None if nothing; raises BagError."""
+        """Return the metadata of the bag in the file, None without any; raises BagError."""
         return Metadata.from_yaml(self.text, self.path) if self.text else None
 
     def read(self, chunk: ChunkRef) -> list[Message]:

@@ -23,7 +23,7 @@ from shepherd_ros.rosbag2.records import (
 
 
 class Definitions:
-    """What one MCAP file defines, filled while its records are walked over."""
+    """Schemas, channels and metadata of one MCAP file, filled while its records are read."""
 
     def __init__(self, path: Path) -> None:
         """Start with nothing defined."""
