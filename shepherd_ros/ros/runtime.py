@@ -26,7 +26,7 @@ from shepherd_ros.ros.parameters import warn_of_unknown
 USER_MISTAKE = 2
 LAST_DOMAIN = 232  # the ports of the next are too high
 SIGNAL_POLL_PERIOD = 0.1  # [s] after which a signal is seen at the latest
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 DDS_SHUTDOWN_TIMEOUT = 10.0  # [s] that DDS has to let go when all work is done
 
 
@@ -91,7 +91,7 @@ def hide() -> None:
 
 def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None) -> int:
     """
-    Run a node as a process; return its exit code, that of node.end() after SIGINT or SIGTERM.
+    Run a node as a process; return its exit code, that of node.end() after a stop signal.
 
     options is a dataclass that the words of the command line fill; the node is made with it. Where
     several nodes are made, they run together, and the first says when and how they end.
@@ -99,7 +99,8 @@ def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None)
     # rclpy's own handlers would end the context in the midst of a callback that publishes
     came: list[int] = []
     for number in STOP_SIGNALS:
-        signal.signal(number, lambda number, frame: came.append(number))
+        if (number, signal.getsignal(number)) != (signal.SIGHUP, signal.SIG_IGN):  # nohup's
+            signal.signal(number, lambda number, frame: came.append(number))
     nodes: list[ShepherdNode] = []
     code = USER_MISTAKE
     try:

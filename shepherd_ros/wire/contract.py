@@ -13,6 +13,7 @@ from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 from shepherd_ros.wire.schemas import installed_text, nested_text, schema_text, wire_types
 from shepherd_ros.wire.topics import contract, families, member, Topic, topic_pattern
 
+HASHED_DEPTHS = {'command': 1, 'clock': 1}  # of queues that have become longer, no other meaning
 PROSE = ('publisher', 'subscribers', 'meaning')  # may change without any change on the wire
 HASH = 12  # characters of the hash of a topic
 # contract_hash() when bags began to have one for each topic, which were then as they are
@@ -64,6 +65,12 @@ def _meaning(row: Topic) -> dict[str, str]:
     return {key: value for key, value in asdict(row).items() if key not in PROSE}
 
 
+def _profile(name: str) -> dict[str, Any]:
+    """Return what a profile says, in the words of the first hashes."""
+    profile = asdict(contract()[1][name])
+    return profile | {'depth': HASHED_DEPTHS.get(name, profile['depth'])}
+
+
 def _hash(content: Any) -> str:
     text = json.dumps(content, sort_keys=True, separators=(',', ':'))
     return hashlib.sha256(text.encode()).hexdigest()
@@ -72,11 +79,10 @@ def _hash(content: Any) -> str:
 @cache
 def topic_hashes() -> dict[str, str]:
     """Return a hash of what each row and family means: fields, profile and texts of its types."""
-    topics, profiles = contract()
     hashes = {}
-    for name, row in (topics | families()).items():
+    for name, row in (contract()[0] | families()).items():
         texts = [schema_text(kind) for kind in (row.type, row.alternative) if kind]
-        hashes[name] = _hash([_meaning(row), asdict(profiles[row.profile]), texts])[:HASH]
+        hashes[name] = _hash([_meaning(row), _profile(row.profile), texts])[:HASH]
     return hashes
 
 
@@ -90,7 +96,7 @@ def contract_hash() -> str:
     """
     topics, profiles = contract()
     rows = [_meaning(row) for _, row in sorted(topics.items())]
-    kinds = {name: asdict(profile) for name, profile in profiles.items()}
+    kinds = {name: _profile(name) for name in profiles}
     return _hash([rows, kinds, {kind: schema_text(kind) for kind in wire_types()}])
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from signal import SIGINT, Signals, SIGTERM
+from signal import SIGHUP, SIGINT, Signals, SIGTERM
 import subprocess
 import sys
 
@@ -81,7 +81,7 @@ def test_a_busy_stack_ends_with_zero_on_a_signal_in_the_midst_of_its_work(
         assert_clean_end(process)
 
 
-@pytest.mark.parametrize('number', [SIGINT, SIGTERM], ids=['INT', 'TERM'])
+@pytest.mark.parametrize('number', [SIGINT, SIGTERM, SIGHUP], ids=['INT', 'TERM', 'HUP'])
 def test_the_world_ends_with_zero_in_realtime_and_while_it_waits(
     graph: Graph, number: Signals
 ) -> None:
