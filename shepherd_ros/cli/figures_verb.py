@@ -45,7 +45,9 @@ class Figures:
         from shepherd_ros.experiments.results import read_results
         from shepherd_ros.experiments.value_map import value_map
         from shepherd_ros.paper.curves import find_curves
-        from shepherd_ros.paper.figures import draw, draw_curves, draw_values, save
+        from shepherd_ros.paper.drawing import save
+        from shepherd_ros.paper.figures import draw, draw_curves, draw_values
+        from shepherd_ros.paper.summary import draw_summary
         from shepherd_ros.paper.verdicts import has_critic
         import torch
 
@@ -58,6 +60,8 @@ class Figures:
         named = [full_name(f'policy:{checkpoint}') for checkpoint in self.checkpoints]
         critics = [name for name in dict.fromkeys(named or known) if has_critic(name)]
         pictures = {name: draw(found) for name, found in samples.items()}
+        if (summary := draw_summary(samples.values())) is not None:
+            pictures['summary'] = summary
         if curves:
             pictures['fig3'] = draw_curves(curves)
         if critics:

@@ -118,7 +118,7 @@ class DroverController(Controller):
     executable = 'drover'
     label = 'drover (ours)'
     order = 12
-    style = ('#9A6FB0', '-.', 'D')
+    style = ('#CC79A7', '-.', 'D')
 
     def __init__(self, *args: Any, **options: Any) -> None:
         """Choose how to drive the flock of the world."""

@@ -1,92 +1,50 @@
-"""Pictures of results, like those of the paper; they can be read in black and white."""
+"""Figures of the paper, and of the sweeps beyond it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
 import numpy as np
-from shepherd_ros.experiments.bootstrap import mean_interval
-from shepherd_ros.experiments.methods import kind_of, label
+from shepherd_ros.experiments.bootstrap import Array
+from shepherd_ros.experiments.methods import label
 from shepherd_ros.experiments.samples import Samples
 from shepherd_ros.experiments.value_map import SIDE, ValueMap
 from shepherd_ros.paper.curves import Curve, smoothed
+from shepherd_ros.paper.drawing import (
+    axis_label,
+    direct_labels,
+    limit,
+    mean_and_bars,
+    new_figure,
+    style_of,
+    tidy,
+)
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.view.scene import FAINT, GRID, INK
 
 AXES = {
-    'sheep': 'sheep',
-    'shepherds': 'shepherds',
+    'sheep': 'flock size [sheep]',
+    'shepherds': 'team size [shepherds]',
     'noise': 'noise on positions [m]',
-    'repulsion': 'repulsion between sheep, rho_a',
-    'preset': 'preset',
-    'flock': 'flock',
-    'case': '',
+    'repulsion': 'repulsion rho_a [1]',
 }
-# colour, line and marker of policies and others without a style of their own: apart in grey, too
-SPARE_STYLES = [
-    (('#000000', '#555555')[k % 2], ('-', '--', ':')[k % 3], marker)
-    for k, marker in enumerate('ovP*<h>pX')
-]
-
-
-def style_of(name: str, names: Sequence[str]) -> dict[str, Any]:
-    """Return colour, line and marker of a method; names are those of the picture, in its order."""
-    free = [other for other in names if kind_of(other).style is None]
-    color, line, marker = kind_of(name).style or SPARE_STYLES[free.index(name) % len(SPARE_STYLES)]
-    return {
-        'color': color,
-        'linestyle': line,
-        'marker': marker,
-        'markersize': 5,
-        'linewidth': 1.4,
-        'capsize': 2.5,
-        'markerfacecolor': color if name.startswith('policy') else 'white',
-    }
-
-
-def new_figure(rows: int, columns: int, width: float, height: float) -> tuple[Figure, Any]:
-    """Return a figure with panels (rows, columns), each so wide and high [inch]."""
-    size = (width * columns, height * rows + 0.5)
-    figure = Figure(figsize=size, dpi=110, facecolor='white', layout='constrained')
-    FigureCanvasAgg(figure)
-    return figure, figure.subplots(rows, columns, squeeze=False)
-
-
-def save(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write a figure as PNG and SVG, the same bytes for the same figure; return the files."""
-    folder.mkdir(parents=True, exist_ok=True)
-    figure.savefig(folder / f'{name}.png', metadata={'Software': None})
-    from matplotlib import rc_context
-
-    with rc_context({'svg.hashsalt': name, 'svg.fonttype': 'none'}):
-        figure.savefig(folder / f'{name}.svg', metadata={'Date': None})
-    return [folder / f'{name}.png', folder / f'{name}.svg']
-
-
-def tidy(axes: Axes, x: str, y: str, title: str = '') -> None:
-    """Name the axes and make the frame light."""
-    axes.set_xlabel(x, color=INK, fontsize=9)
-    axes.set_ylabel(y, color=INK, fontsize=9)
-    axes.set_title(title, fontsize=10, color=INK, loc='left')
-    axes.tick_params(labelsize=8, colors=INK)
-    axes.grid(color=GRID, linewidth=0.8)
-    axes.set_axisbelow(True)
-    for side in ('top', 'right'):
-        axes.spines[side].set_visible(False)
+MAP = 'cividis'  # grows lighter evenly, for colour-blind readers as well
+LEVELS = (0.5, 0.9)  # of a share, where contours are drawn
 
 
 def draw(samples: Samples) -> Figure:
     """Return the picture of an experiment."""
-    kind = samples.experiment.axes
-    if len(kind) == 2:
-        return draw_maps(samples)
-    return draw_cases(samples) if kind == ('case',) else draw_lines(samples)
+    fields = samples.experiment.axes
+    if not all(isinstance(x, int | float) for field in fields for x in samples.axis(field)):
+        return draw_cases(samples)
+    return draw_maps(samples) if len(fields) == 2 else draw_lines(samples)
 
 
 def draw_lines(samples: Samples) -> Figure:
@@ -94,17 +52,18 @@ def draw_lines(samples: Samples) -> Figure:
     experiment = samples.experiment
     x = np.array(samples.axis(experiment.axes[0]), np.float64)
     order, count = np.argsort(x), len(experiment.panels)
-    columns = 2 if count == 4 else count
-    figure, panels = new_figure(-(-count // columns), columns, 4.2, 3.0)
+    figure, panels = new_figure(-(-count // 2), min(count, 2), 5.0, 3.0)
     for k, (metric, axes) in enumerate(zip(experiment.panels, panels.flat, strict=False)):
+        ends, looks = {}, {}
         for name in samples.controllers:
-            mean, low, high = mean_interval(samples.values[name, metric][order])
-            bars = np.nan_to_num(np.stack([mean - low, high - mean]))
-            look = style_of(name, samples.controllers)
-            axes.errorbar(x[order], mean, yerr=np.maximum(bars, 0), label=label(name), **look)
-        _limit(axes, metric)
-        tidy(axes, AXES[experiment.axes[0]], METRICS[metric].title, f'({"abcdef"[k]})')
-    _legend(figure, panels.flat[0])
+            mean, bars = mean_and_bars(samples.values[name, metric][order])
+            look = looks[label(name)] = style_of(name, samples.controllers)
+            axes.errorbar(x[order], mean, yerr=bars, capsize=2.5, label=label(name), **look)
+            last = np.flatnonzero(np.isfinite(mean))[-1]
+            ends[label(name)] = (x[order][last], mean[last])
+        limit(axes, metric)
+        tidy(axes, AXES[experiment.axes[0]], axis_label(metric), f'({"abcdef"[k]})')
+        direct_labels(axes, ends, looks)
     _title(figure, samples)
     return figure
 
@@ -114,53 +73,75 @@ def draw_cases(samples: Samples) -> Figure:
     metrics, names = samples.experiment.panels, samples.controllers
     cases = [str(case) for case in samples.axis('case')]
     width = 4.0 if len(metrics) > 1 else 7.0
-    figure, panels = new_figure(1, len(metrics), width, 0.8 + 0.34 * len(cases))
+    figure, panels = new_figure(1, len(metrics), width, 0.8 + 0.4 * len(cases))
     for k, (metric, axes) in enumerate(zip(metrics, panels.flat, strict=True)):
         for j, name in enumerate(names):
-            mean, low, high = mean_interval(samples.values[name, metric])
-            bars = np.maximum(np.nan_to_num(np.stack([mean - low, high - mean])), 0)
-            place = np.arange(len(cases)) + 0.6 * ((j + 0.5) / len(names) - 0.5)
-            look = style_of(name, samples.controllers) | {'linestyle': 'none'}
-            axes.errorbar(mean, place, xerr=bars, label=label(name), **look)
+            mean, bars = mean_and_bars(samples.values[name, metric])
+            place = np.arange(len(cases)) + 0.7 * ((j + 0.5) / len(names) - 0.5)
+            look = style_of(name, names) | {'linestyle': 'none'}
+            axes.errorbar(mean, place, xerr=bars, capsize=1.5, label=label(name), **look)
+        for row in range(0, len(cases), 2):
+            axes.axhspan(row - 0.5, row + 0.5, color=GRID, zorder=0)
+        tidy(axes, axis_label(metric), '')
         axes.set_yticks(range(len(cases)), cases if k == 0 else [''] * len(cases))
         axes.set_ylim(len(cases) - 0.5, -0.5)
-        tidy(axes, METRICS[metric].title, '')
         if len(metrics) > 1:
-            _limit(axes, metric, along='x')
+            limit(axes, metric, along='x')
     _legend(figure, panels.flat[0])
     _title(figure, samples)
     return figure
 
 
 def draw_maps(samples: Samples) -> Figure:
-    """Return means over two axes, a line of maps for each controller; darker is more."""
+    """Return means over two axes, a map for each controller; one scale for each unit."""
     down, across = samples.experiment.axes
-    rows = list(dict.fromkeys(samples.axis(down)))
-    columns = list(dict.fromkeys(samples.axis(across)))
+    y, x = (sorted(set(samples.axis(field))) for field in (down, across))
     metrics, names = samples.experiment.panels, samples.controllers
-    width, height = max(1.5 + 0.4 * len(columns), 3.2), 1.1 + 0.2 * len(rows)
-    figure, panels = new_figure(len(names), len(metrics), width, height)
-    for metric, line in zip(metrics, panels.T, strict=True):
+    columns = -(-len(names) // -(-len(names) // 5))
+    lines = -(-len(names) // columns)
+    figure, panels = new_figure(lines * len(metrics), columns, 2.3, 1.9)
+    for axes in panels.flat:
+        axes.set_visible(False)
+    scales: dict[str, Normalize] = {}
+    used: dict[str, list[Axes]] = {}
+    for metric, block in zip(metrics, np.split(panels, len(metrics)), strict=True):
+        unit = METRICS[metric].unit
         means = {name: samples.values[name, metric].mean(axis=-1) for name in names}
-        top = 1.0 if METRICS[metric].unit == '1' else max(np.nanmax(m) for m in means.values())
-        for name, axes in zip(names, line, strict=True):
-            grid = np.full((len(rows), len(columns)), np.nan)
+        top = 1.0 if unit == '1' else max(float(np.nanmax(m)) for m in means.values())
+        scale = scales.setdefault(unit, Normalize(0.0, top))
+        scale.vmax = max(scale.vmax or 0.0, top)
+        for name, axes in zip(names, block.flat, strict=False):
+            axes.set_visible(True)
+            grid = np.full((len(y), len(x)), np.nan)
             for place, value in enumerate(means[name]):
                 setting = samples.settings[place]
-                row = rows.index(getattr(setting, down))
-                grid[row, columns.index(getattr(setting, across))] = value
-            axes.imshow(grid, cmap='Greys', vmin=0, vmax=1.2 * top, aspect='auto', origin='lower')
-            for (i, j), value in np.ndenumerate(grid):
-                text = '' if np.isnan(value) else f'{value:.2f}' if top <= 1 else f'{value:.0f}'
-                color = 'white' if value > 0.6 * top else 'black'
-                axes.text(j, i, text, ha='center', va='center', fontsize=7, color=color)
-            tidy(axes, AXES[across], AXES[down], f'{label(name)}\n{METRICS[metric].title}')
-            axes.title.set_fontsize(7)
+                grid[y.index(getattr(setting, down)), x.index(getattr(setting, across))] = value
+            _map(axes, grid, scale, LEVELS if unit == '1' else MaxNLocator(5).tick_values(0, top))
+            above = f'{axis_label(metric)}\n\n' if axes is block[0, 0] else ''
+            tidy(axes, AXES[across], AXES[down], above + label(name))
+            axes.label_outer()
             axes.grid(visible=False)
-            axes.set_xticks(range(len(columns)), [str(c) for c in columns])
-            axes.set_yticks(range(len(rows)), [str(r) for r in rows])
+            axes.set_xticks(range(len(x)), [f'{v:g}' for v in x], fontsize=7)
+            axes.set_yticks(range(len(y)), [f'{v:g}' for v in y], fontsize=7)
+            used.setdefault(unit, []).append(axes)
+    for unit, scale in scales.items():
+        drawn = ScalarMappable(scale, MAP)
+        names_of = ' and '.join(axis_label(m) for m in metrics if METRICS[m].unit == unit)
+        bar = figure.colorbar(drawn, ax=used[unit], aspect=40, pad=0.02)
+        bar.set_label(names_of, fontsize=8)
+        bar.ax.tick_params(labelsize=7)
     _title(figure, samples)
     return figure
+
+
+def _map(axes: Axes, grid: Array, scale: Normalize, levels: Sequence[float] | Array) -> None:
+    """Draw cells of a grid (rows, columns) and labelled contours over them."""
+    axes.imshow(grid, cmap=MAP, norm=scale, aspect='auto', origin='lower')
+    crossed = [level for level in levels if np.nanmin(grid) < level < np.nanmax(grid)]
+    if crossed and min(grid.shape) > 1:
+        lines = axes.contour(grid, crossed, colors='white', linewidths=1.0)
+        for artist in (lines, *axes.clabel(lines, fmt='%g', fontsize=7)):
+            artist.set_path_effects([withStroke(linewidth=2.0, foreground=INK)])
 
 
 def draw_curves(curves: Sequence[Curve]) -> Figure:
@@ -169,50 +150,52 @@ def draw_curves(curves: Sequence[Curve]) -> Figure:
 
     Other trainings of the same policy are drawn like the first, but thinner.
     """
-    figure, panels = new_figure(1, 1, 6.0, 3.2)
-    axes = panels[0, 0]
-    policies = dict.fromkeys(curve.policy for curve in curves)
-    looks = dict(zip(policies, SPARE_STYLES * len(policies), strict=False))
-    named: set[str] = set()
-    for curve in curves:
-        color, line, marker = looks[curve.policy]
-        every = max(len(curve.samples) // 12, 1)
-        look = {'color': color, 'linestyle': line, 'marker': marker, 'markevery': every}
-        if curve.policy in named:  # another training of the same
-            axes.plot(curve.samples / 1e6, smoothed(curve), markersize=3, linewidth=0.7, **look)
-            continue
-        named.add(curve.policy)
-        kind = 'judged episodes' if curve.judged else 'mean reward x 1000'
-        text = f'{curve.policy} (ours; {kind})'
-        axes.plot(curve.samples / 1e6, smoothed(curve), label=text, markersize=4, **look)
-    tidy(axes, 'samples [million]', 'return of an episode')
+    figure, panels = new_figure(1, 1, 7.4, 3.4)
+    axes, ends, looks = panels[0, 0], {}, {}
+    for policy in dict.fromkeys(curve.policy for curve in curves):
+        mine = [curve for curve in curves if curve.policy == policy]
+        kind = 'validation episodes' if mine[0].judged else 'mean reward x 1000'
+        name = f'{policy} (n = {len(mine)})\n{kind}'
+        look = style_of(f'policy:{policy}', [f'policy:{c.policy}' for c in curves])
+        looks[name] = look
+        for k, curve in enumerate(mine):
+            own = look if k == 0 else look | {'linewidth': 0.7, 'markersize': 3}
+            every = max(len(curve.samples) // 12, 1)
+            axes.plot(curve.samples / 1e6, smoothed(curve), markevery=every, **own)
+        ends[name] = (mine[0].samples[-1] / 1e6, smoothed(mine[0])[-1])
+    tidy(axes, 'samples [million]', 'return of an episode [1]')
     axes.set_ylim(top=10.0)
-    axes.legend(fontsize=8, frameon=False)
-    figure.suptitle('Figure 3: training; the paper trains for 100 million samples', fontsize=10)
+    direct_labels(axes, ends, looks, gap=0.14)
+    figure.suptitle(
+        'Figure 3: training; n trainings each, the paper trains for 100 million samples',
+        fontsize=10,
+    )
     return figure
 
 
 def draw_values(maps: dict[str, ValueMap]) -> Figure:
     """Return the value of a third shepherd's place by policy (figure 9); brighter is better."""
-    figure, panels = new_figure(1, len(maps), 4.6, 4.0)
+    figure, panels = new_figure(1, len(maps), 3.8, 2.9)
+    halo = [withStroke(linewidth=2, foreground='black')]
     for (name, found), axes in zip(maps.items(), panels.flat, strict=True):
         extent = (-SIDE, SIDE, -SIDE, SIDE)
-        picture = axes.imshow(found.values, origin='lower', extent=extent, cmap='cividis')
-        axes.contour(found.values, 8, extent=extent, colors='black', linewidths=0.4)
+        picture = axes.imshow(found.values, origin='lower', extent=extent, cmap=MAP)
+        axes.contour(found.values, 5, extent=extent, colors='white', linewidths=0.5)
         axes.add_patch(Circle((0, 0), found.goal_radius, fill=False, color='white', linewidth=2))
         axes.plot(*found.sheep.T, 'o', color='white', markeredgecolor='black', markersize=5)
         axes.plot(*found.shepherds.T, '^', color='black', markeredgecolor='white', markersize=9)
+        for text, points in (('goal', np.zeros((1, 2))), ('sheep', found.sheep),
+                             ('two shepherds', found.shepherds)):  # fmt: skip
+            below = points.mean(axis=0) - (0, 3.5 if text != 'goal' else found.goal_radius + 1.5)
+            axes.text(*below, text, color='white', ha='center', va='center', fontsize=8,
+                      path_effects=halo)  # fmt: skip
         tidy(axes, 'x [m]', 'y [m]', label(name))
         axes.grid(visible=False)
-        figure.colorbar(picture, ax=axes, shrink=0.8, label="critic's value")
-    figure.suptitle('Figure 9: value of a third shepherd; white ring: goal', fontsize=10)
+        bar = figure.colorbar(picture, ax=axes, shrink=0.8)
+        bar.set_label("critic's value [1]", fontsize=8)
+        bar.ax.tick_params(labelsize=7)
+    figure.suptitle('Figure 9: value of a third shepherd (n = 1 start)', fontsize=10)
     return figure
-
-
-def _limit(axes: Axes, metric: str, along: str = 'y') -> None:
-    """Let shares go from 0 to 1, all others from 0."""
-    top = 1.03 if METRICS[metric].unit == '1' else None
-    getattr(axes, f'set_{along}lim')(0, top)
 
 
 def _legend(figure: Figure, axes: Axes) -> None:
@@ -232,11 +215,11 @@ def _title(figure: Figure, samples: Samples) -> None:
     """Say what is shown, and of how many episodes."""
     name = samples.experiment.name
     text = f'Figure {name[3:]}: ' if name.startswith('fig') else ''
-    apart = ' ' if figure.get_figwidth() > 8 else '\n'
+    maps = len(samples.experiment.axes) == 2 and samples.experiment.axes != ('preset', 'flock')
     figure.suptitle(
-        f'{text}{samples.experiment.title}{apart}'
-        f'({len(samples.seeds)} episodes of {samples.steps} steps each, mean'
-        f'{" and 95 % interval" if len(samples.experiment.axes) == 1 else ""})',
+        f'{text}{samples.experiment.title} (n = {len(samples.seeds)} episodes of '
+        f'{samples.steps} steps each,{" " if figure.get_figwidth() > 8 else chr(10)}mean'
+        f'{"" if maps else " and 95 % interval"})',
         fontsize=10,
         color=INK if samples.steps >= 1000 else FAINT,
     )

@@ -21,6 +21,7 @@ from shepherd_ros.paper.claims import (
     SHARE_TOLERANCE,
     UNDECIDED,
 )
+from shepherd_ros.paper.summary import QUESTION
 from shepherd_ros.paper.verdicts import Verdict
 
 VERDICTS = (AGREES, DISAGREES, UNDECIDED)
@@ -73,6 +74,7 @@ def page(
     lines = [
         '# The experiments of the paper, and what came of them here',
         '',
+        *(picture('summary', QUESTION, pictures) if 'summary' in pictures else []),
         f'Made by `{command}`. {origin(rows)}',
         *reference(reasons),
         *trial(samples),
