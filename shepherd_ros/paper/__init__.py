@@ -1,3 +1,13 @@
 """The paper's statements, the quantities and verdicts on them, its figures and its presets."""
 
-__all__ = ['claims', 'curves', 'figures', 'preset_scores', 'preset_search', 'report', 'verdicts']
+__all__ = [
+    'claims',
+    'curves',
+    'drawing',
+    'figures',
+    'preset_scores',
+    'preset_search',
+    'report',
+    'summary',
+    'verdicts',
+]
