@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, MISSING
 import os
 import sys
 from typing import Any
 
+from shepherd_ros import __version__
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.config import ConfigError
 
@@ -18,9 +19,39 @@ __all__ = ['code', 'main', 'processes']
 class Train:
     """Train a policy: shepherd train ppo, bc or dagger."""
 
-    def run(self) -> int:
-        """Print the missing choice of a training."""
-        raise UserError('train needs to be told how: expected shepherd train ppo, bc or dagger')
+
+@dataclass
+class Run:
+    """
+    Start a node: shepherd run NODE, followed by what it takes, such as --ros-args.
+
+    shepherd run NODE --help shows its parameters.
+    """
+
+
+def run_node(words: list[str]) -> int:
+    """Run a node in this process; words are its name and those of its command line."""
+    from shepherd_ros.config import unknown_name
+    from shepherd_ros.nodes import executables
+
+    known = executables.names()
+    if words[0] not in known:
+        raise unknown_name('node', words[0], known)
+    sys.argv = words
+    return int(getattr(executables, words[0])())
+
+
+def whole(words: list[str], verbs: dict[str, Callable[..., Any]]) -> list[str]:
+    """Return words that ask for help where a verb stands alone that needs more."""
+    alone = len(words) == 1 and words[0] in verbs
+    if not words or (alone and (words[0] in ('train', 'run') or needs_more(verbs[words[0]]))):
+        return [*words, '--help']
+    return words
+
+
+def needs_more(verb: Any) -> bool:
+    """Return whether a verb has an argument without a default."""
+    return any(f.default is MISSING and f.default_factory is MISSING for f in fields(verb))
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -35,6 +66,7 @@ def main(arguments: list[str] | None = None) -> int:
     from shepherd_ros.cli.record_verb import Record
     from shepherd_ros.cli.replay_verb import Replay
     from shepherd_ros.cli.search_verb import Search
+    from shepherd_ros.cli.world_verbs import VERBS
     import tyro
 
     verbs: dict[str, Callable[..., Any]] = {
@@ -49,9 +81,16 @@ def main(arguments: list[str] | None = None) -> int:
         'dataset': DatasetVerbs,
         'train': Train,
         'checkpoint': CheckpointVerbs,
+        'run': Run,
+        **VERBS,
     }
-    words = sys.argv[1:] if arguments is None else arguments
+    words = whole(sys.argv[1:] if arguments is None else arguments, verbs)
     try:
+        if words == ['--version']:
+            print(f'shepherd_ros {__version__}')
+            return 0
+        if words[:1] == ['run'] and words[1] not in ('-h', '--help'):
+            return run_node(words[1:])
         if words[:1] == ['train']:  # its arguments are made with torch, which takes a second
             from shepherd_ros.cli.train_verbs import train
 

@@ -8,4 +8,5 @@ __all__ = [
     'herd_node',
     'player_node',
     'recorder_options',
+    'world_client',
 ]

@@ -22,6 +22,13 @@ FILES = {  # of all executables but those of single controllers
 }
 
 
+def names() -> list[str]:
+    """Return the names of all executables."""
+    from shepherd_ros.controllers import CONTROLLERS  # with torch, which takes a second
+
+    return sorted({*FILES, *(kind.executable for kind in CONTROLLERS.values())})
+
+
 def __getattr__(name: str) -> Callable[[], int]:
     """Return the main function of an executable; its file is imported when it is called."""
     if name.startswith('_'):

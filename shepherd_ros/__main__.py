@@ -1,0 +1,7 @@
+"""The command `shepherd` as `python -m shepherd_ros`."""
+
+import sys
+
+from shepherd_ros.cli import main
+
+sys.exit(main())

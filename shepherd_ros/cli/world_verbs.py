@@ -1,0 +1,128 @@
+"""Verbs reset, pause, resume, step, goal, status and nodes: ask a world that runs."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from shepherd_ros.cli.user_error import UserError
+import tyro
+
+if TYPE_CHECKING:
+    from shepherd_ros.nodes.world_client import WorldClient
+
+
+@dataclass(kw_only=True)
+class Asking:
+    """What these verbs have in common."""
+
+    namespace: str = ''
+    """Namespace of the world."""
+
+    def client(self) -> AbstractContextManager[WorldClient]:
+        """Return what gives a client of the world; raises UserError without ROS."""
+        try:
+            from shepherd_ros.nodes.world_client import world_client
+        except ModuleNotFoundError as error:
+            raise UserError(f'{error}: install ROS 2, or the extra jazzy') from None
+        return world_client(self.namespace)
+
+
+@dataclass(kw_only=True)
+class Reset(Asking):
+    """Begin the next episode."""
+
+    seed: int | None = None
+    """Its seed; the next one if not given."""
+
+    def run(self) -> int:
+        """Ask for it."""
+        with self.client() as world:
+            print(world.reset(self.seed))
+        return 0
+
+
+@dataclass(kw_only=True)
+class Pause(Asking):
+    """Let the world stand still."""
+
+    def run(self) -> int:
+        """Ask for it."""
+        with self.client() as world:
+            print(world.pause(True))
+        return 0
+
+
+@dataclass(kw_only=True)
+class Resume(Asking):
+    """Let the world go on."""
+
+    def run(self) -> int:
+        """Ask for it."""
+        with self.client() as world:
+            print(world.pause(False))
+        return 0
+
+
+@dataclass(kw_only=True)
+class Step(Asking):
+    """Make some steps, then pause."""
+
+    n: tyro.conf.Positional[int] = 1
+    """How many."""
+
+    def run(self) -> int:
+        """Ask for it."""
+        with self.client() as world:
+            print(world.step(self.n))
+        return 0
+
+
+@dataclass(kw_only=True)
+class Goal(Asking):
+    """Move the goal region."""
+
+    x: tyro.conf.Positional[float]
+    """Its center [m], to the east."""
+    y: tyro.conf.Positional[float]
+    """Its center [m], to the north."""
+
+    def run(self) -> int:
+        """Ask for it."""
+        with self.client() as world:
+            print(world.move_goal(self.x, self.y))
+        return 0
+
+
+@dataclass(kw_only=True)
+class Status(Asking):
+    """Show the episode that runs, and what its nodes report."""
+
+    def run(self) -> int:
+        """Print it."""
+        with self.client() as world:
+            print(*world.status(), sep='\n')
+        return 0
+
+
+@dataclass(kw_only=True)
+class Nodes(Asking):
+    """List the nodes that run."""
+
+    def run(self) -> int:
+        """Print their names."""
+        with self.client() as world:
+            print(*world.nodes(), sep='\n')
+        return 0
+
+
+VERBS = {
+    'reset': Reset,
+    'pause': Pause,
+    'resume': Resume,
+    'step': Step,
+    'goal': Goal,
+    'status': Status,
+    'nodes': Nodes,
+}

@@ -1,0 +1,145 @@
+"""A node that asks a running world from a command line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+import os
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.srv import GetParameters, SetParameters
+import rclpy
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
+from shepherd_ros.config import ConfigError
+from shepherd_ros.ros.node import message_type, quality
+from shepherd_ros.ros.runtime import begin
+from shepherd_ros.wire.episode import Episode
+from shepherd_ros.wire.topics import EPISODE, row_of
+from std_srvs.srv import SetBool, Trigger
+
+WORLD = 'flock_sim'
+DISCOVERY = 5.0  # [s] in which a world is found, or is not there
+REPORT = 1.5  # [s] in which every node reports on /diagnostics
+LEVELS = {
+    DiagnosticStatus.OK: 'OK',
+    DiagnosticStatus.WARN: 'WARN',
+    DiagnosticStatus.ERROR: 'ERROR',
+}
+
+
+class WorldClient(Node):
+    """Calls what flock_sim of a namespace offers; ConfigError where none answers."""
+
+    def reset(self, seed: int | None) -> str:
+        """Begin the next episode, with a seed if one is given; return its description."""
+        if seed is not None:
+            self._set('seed', seed)
+        return self._call('reset', Trigger, Trigger.Request()).message
+
+    def step(self, n: int) -> str:
+        """Make n steps, then pause."""
+        self._set('step_size', n)
+        return self._call('step', Trigger, Trigger.Request()).message
+
+    def pause(self, paused: bool) -> str:
+        """Pause, or go on."""
+        return self._call('pause', SetBool, SetBool.Request(data=paused)).message
+
+    def move_goal(self, x: float, y: float) -> str:
+        """Move the goal to x, y [m]."""
+        request = GetParameters.Request(names=['frame_id'])
+        (frame,) = self._call('get_parameters', GetParameters, request).values
+        pose = PoseStamped()
+        pose.header.frame_id = parameter_value_to_python(frame)
+        pose.pose.position.x, pose.pose.position.y = x, y
+        pose.pose.orientation.w = 1.0
+        publisher = self.create_publisher(PoseStamped, 'goal_pose', quality('goal_pose'))
+        limit = time.monotonic() + DISCOVERY
+        while not publisher.get_subscription_count():
+            if time.monotonic() > limit:
+                raise self._nobody()
+            time.sleep(0.02)
+        publisher.publish(pose)
+        publisher.wait_for_all_acked(Duration(seconds=DISCOVERY))
+        return f'goal moves to {x:g}, {y:g} m'
+
+    def status(self) -> list[str]:
+        """Return a line for the episode and one for each part of every node that reports."""
+        found: dict[str, str] = {}
+
+        def on_report(report: DiagnosticArray) -> None:
+            for s in report.status:
+                found[s.name] = f'{LEVELS.get(s.level, "?"):5}  {s.name}: {s.message}'
+
+        def on_episode(message: Any) -> None:
+            e = Episode.from_json(message.data)
+            found[''] = (
+                f'episode {e.number}, seed {e.seed}: {e.n_sheep} sheep, {e.n_shepherds} '
+                f'shepherds, {e.mode}'
+            )
+
+        kind = message_type(row_of(EPISODE).type)
+        self.create_subscription(DiagnosticArray, '/diagnostics', on_report, 100)
+        self.create_subscription(kind, EPISODE, on_episode, quality(EPISODE, subscribe=True))
+        limit = time.monotonic() + DISCOVERY
+        while time.monotonic() < limit:
+            rclpy.spin_once(self, timeout_sec=0.1)
+            if found and limit > time.monotonic() + REPORT:
+                limit = time.monotonic() + REPORT
+        if not found:
+            raise self._nobody()
+        return [found[name] for name in sorted(found)]
+
+    def nodes(self) -> list[str]:
+        """Return the full names of the nodes that run."""
+        known, limit = set[str](), time.monotonic() + REPORT
+        while time.monotonic() < limit:
+            names = self.get_node_names_and_namespaces()
+            known = {f'{space.rstrip("/")}/{name}' for name, space in names}
+            time.sleep(0.1)
+        return sorted(known - {self.get_fully_qualified_name()})
+
+    def _set(self, name: str, value: Any) -> None:
+        """Set a parameter of the world; ConfigError with its reason if it refuses."""
+        request = SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()]
+        )
+        (result,) = self._call('set_parameters', SetParameters, request).results
+        if not result.successful:
+            raise ConfigError(result.reason)
+
+    def _call(self, name: str, kind: Any, request: Any) -> Any:
+        """Return what a service of the world answers."""
+        client = self.create_client(kind, f'{WORLD}/{name}')
+        if not client.wait_for_service(timeout_sec=DISCOVERY):
+            raise self._nobody()
+        future = client.call_async(request)
+        rclpy.spin_until_future_complete(self, future, timeout_sec=DISCOVERY)
+        if not future.done():
+            raise ConfigError(f'{client.srv_name} has not answered within {DISCOVERY:g} s')
+        return future.result()
+
+    def _nobody(self) -> ConfigError:
+        """Return the error that no world is there."""
+        name = f'{self.get_namespace().rstrip("/")}/{WORLD}'
+        return ConfigError(
+            f'no {name} was found within {DISCOVERY:g} s: expected one that runs; start it, or '
+            f'check --namespace and ROS_DOMAIN_ID, which is {os.environ.get("ROS_DOMAIN_ID", "0")}'
+        )
+
+
+@contextmanager
+def world_client(namespace: str) -> Iterator[WorldClient]:
+    """Give a client of the world in a namespace."""
+    begin()
+    client = WorldClient('shepherd', namespace=namespace, start_parameter_services=False)
+    try:
+        yield client
+    finally:
+        client.destroy_node()
+        rclpy.try_shutdown()
