@@ -54,8 +54,8 @@ def needs_more(verb: Any) -> bool:
     return any(f.default is MISSING and f.default_factory is MISSING for f in fields(verb))
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run a verb and return the exit code: 2 for a mistake of the user's, 130 for Ctrl-C."""
+def all_verbs() -> dict[str, Callable[..., Any]]:
+    """Return the verbs by name."""
     from shepherd_ros.cli.bag_verbs import BagVerbs
     from shepherd_ros.cli.checkpoint_verbs import CheckpointVerbs
     from shepherd_ros.cli.counterfactual_verb import Counterfactual
@@ -67,9 +67,8 @@ def main(arguments: list[str] | None = None) -> int:
     from shepherd_ros.cli.replay_verb import Replay
     from shepherd_ros.cli.search_verb import Search
     from shepherd_ros.cli.world_verbs import VERBS
-    import tyro
 
-    verbs: dict[str, Callable[..., Any]] = {
+    return {
         'demo': Demo,
         'evaluate': Evaluate,
         'figures': Figures,
@@ -84,6 +83,13 @@ def main(arguments: list[str] | None = None) -> int:
         'run': Run,
         **VERBS,
     }
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a verb and return the exit code: 2 for a mistake of the user's, 130 for Ctrl-C."""
+    import tyro
+
+    verbs = all_verbs()
     words = whole(sys.argv[1:] if arguments is None else arguments, verbs)
     try:
         if words == ['--version']:

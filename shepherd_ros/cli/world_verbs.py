@@ -66,7 +66,7 @@ class Resume(Asking):
 
 
 @dataclass(kw_only=True)
-class Step(Asking):
+class MakeSteps(Asking):
     """Make some steps, then pause."""
 
     n: tyro.conf.Positional[int] = 1
@@ -121,7 +121,7 @@ VERBS = {
     'reset': Reset,
     'pause': Pause,
     'resume': Resume,
-    'step': Step,
+    'step': MakeSteps,
     'goal': Goal,
     'status': Status,
     'nodes': Nodes,

@@ -22,7 +22,7 @@ from shepherd_ros.wire.episode import Episode
 from shepherd_ros.wire.topics import EPISODE, row_of
 from std_srvs.srv import SetBool, Trigger
 
-WORLD = 'flock_sim'
+_WORLD = 'flock_sim'
 DISCOVERY = 5.0  # [s] in which a world is found, or is not there
 REPORT = 1.5  # [s] in which every node reports on /diagnostics
 LEVELS = {
@@ -115,7 +115,7 @@ class WorldClient(Node):
 
     def _call(self, name: str, kind: Any, request: Any) -> Any:
         """Return what a service of the world answers."""
-        client = self.create_client(kind, f'{WORLD}/{name}')
+        client = self.create_client(kind, f'{_WORLD}/{name}')
         if not client.wait_for_service(timeout_sec=DISCOVERY):
             raise self._nobody()
         future = client.call_async(request)
@@ -126,7 +126,7 @@ class WorldClient(Node):
 
     def _nobody(self) -> ConfigError:
         """Return the error that no world is there."""
-        name = f'{self.get_namespace().rstrip("/")}/{WORLD}'
+        name = f'{self.get_namespace().rstrip("/")}/{_WORLD}'
         return ConfigError(
             f'no {name} was found within {DISCOVERY:g} s: expected one that runs; start it, or '
             f'check --namespace and ROS_DOMAIN_ID, which is {os.environ.get("ROS_DOMAIN_ID", "0")}'
