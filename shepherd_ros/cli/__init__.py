@@ -87,11 +87,11 @@ def all_verbs() -> dict[str, Callable[..., Any]]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a verb and return the exit code: 2 for a mistake of the user's, 130 for Ctrl-C."""
-    import tyro
-
-    verbs = all_verbs()
-    words = whole(sys.argv[1:] if arguments is None else arguments, verbs)
     try:
+        import tyro
+
+        verbs = all_verbs()
+        words = whole(sys.argv[1:] if arguments is None else arguments, verbs)
         if words == ['--version']:
             print(f'shepherd_ros {__version__}')
             return 0

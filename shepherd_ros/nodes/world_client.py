@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from shepherd_ros.config import ConfigError
 from shepherd_ros.ros.node import message_type, quality
-from shepherd_ros.ros.runtime import begin
+from shepherd_ros.ros.runtime import init_rclpy
 from shepherd_ros.wire.episode import Episode
 from shepherd_ros.wire.topics import EPISODE, row_of
 from std_srvs.srv import SetBool, Trigger
@@ -136,7 +136,7 @@ class WorldClient(Node):
 @contextmanager
 def world_client(namespace: str) -> Iterator[WorldClient]:
     """Give a client of the world in a namespace."""
-    begin()
+    init_rclpy()
     client = WorldClient('shepherd', namespace=namespace, start_parameter_services=False)
     try:
         yield client
