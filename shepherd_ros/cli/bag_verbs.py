@@ -166,6 +166,12 @@ class _Render:
     """Which episode of the bag, counted from 0."""
     namespace: str | None = None
     """Namespace of the stack, if the bag has several."""
+    end: float | None = None
+    """Time at which the animation ends [s]; that of the episode by default."""
+    speed: float | None = None
+    """Seconds of the episode in a second of the animation; all in 10 s by default."""
+    title: str = ''
+    """Title of picture, animation and page; the bag, its episode and seed by default."""
 
     def run(self) -> int:
         """Draw and print what was written."""
@@ -182,15 +188,14 @@ class _Render:
 
         episode = one_episode(self.bag, self.namespace, self.episode)
         made_folder('--output', self.output)
-        track = track_of(
-            episode, f'{self.bag.name}, episode {episode.number}, seed {episode.seed}'
-        )
+        name = f'{self.bag.name}, episode {episode.number}, seed {episode.seed}'
+        track = track_of(episode, self.title or name)
         curves = metrics_over_time(states_of(episode), episode.episode_steps)
         drawn = {metric.name: curves[metric.name] for metric in shown('page')}
         units = {metric.name: metric.unit for metric in shown('page') if metric.unit != '1'}
         paths = [self.output / name for name in ('tracks.png', 'herding.gif', 'replay.html')]
         draw_tracks(track, paths[0])
-        animate(track, paths[1])
+        animate(track, paths[1], end=self.end, speed=self.speed)
         write_page(track, drawn, paths[2], units=units, ranges=ranges_of(episode))
         for path in paths:
             print(f'wrote {path}')

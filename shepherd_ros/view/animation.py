@@ -41,6 +41,8 @@ def animate(
     max_frames: int = 200,
     fps: float = 20,
     first: int = 0,
+    end: float | None = None,
+    speed: float | None = None,
     beside: Sequence[EpisodeTrack] = (),
     on_frame: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
@@ -48,13 +50,26 @@ def animate(
     Write an episode as .gif or .mp4, with others beside it in the same scale.
 
     At most max_frames of its steps are shown, evenly spread from the first one on, fps per second
-    of playing time; one that ends earlier rests. on_frame(done, total) is called after each frame.
+    of playing time; one that ends earlier rests. With an end [s] nothing later is shown; with a
+    speed so many seconds pass in one, at no more frames per second than there are steps.
+    on_frame(done, total) is called after each frame.
     """
     if max_frames < 1:
         raise ConfigError(f'max_frames is {max_frames}: expected at least 1')
-    write = video_writer(Path(path), fps)
     tracks = (track, *beside)
-    rest = max(len(t.times) for t in tracks) - first
+    times = max((t.times for t in tracks), key=len)
+    rest = len(times) - first
+    if end is not None:
+        rest = int((times <= end + 1e-9).sum()) - first
+        if rest < 2:
+            raise ConfigError(f'end is {end}: expected more than {times[first]:g} s')
+    if speed is not None:
+        if not speed > 0:
+            raise ConfigError(f'speed is {speed}: expected a value above 0, such as 10')
+        lasts = max((times[first + rest - 1] - times[first]) / speed, 1 / fps)
+        max_frames = max(min(rest, round(fps * lasts)), 1)
+        fps = max_frames / lasts
+    write = video_writer(Path(path), fps)
     steps = [first + step for step in frame_steps(rest, max_frames)]
     painters = [Painter(t, tracks) for t in tracks]
 

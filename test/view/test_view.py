@@ -340,6 +340,20 @@ def test_a_video_has_every_frame_and_shows_what_was_painted(tmp_path: Path) -> N
     assert np.abs(shown[4].astype(float) - painted).mean() < 4  # lossy, but the same picture
 
 
+def test_end_and_speed_decide_how_long_an_animation_lasts(tmp_path: Path) -> None:
+    track, path = still(41), tmp_path / 'still.gif'  # 20 s
+    seen: list[tuple[int, int]] = []
+    for options, frames_shown, duration in (
+        ({'speed': 2.0}, 41, 240),  # every step in 10 s
+        ({'end': 10.0, 'speed': 10.0}, 20, 50),
+        ({'end': 10.0}, 21, 50),
+    ):
+        animate(track, path, on_frame=lambda *progress: seen.append(progress), **options)
+        assert seen[-1] == (frames_shown, frames_shown)
+        with Image.open(path) as image:
+            assert image.info['duration'] == duration
+
+
 @pytest.mark.parametrize(
     ('name', 'options', 'message'),
     [
@@ -347,6 +361,8 @@ def test_a_video_has_every_frame_and_shows_what_was_painted(tmp_path: Path) -> N
         ('none/a.gif', {}, 'folder .*none is not there'),
         ('a.gif', {'fps': 0}, r'fps is 0: expected a value in \[1, 50\]'),
         ('a.gif', {'max_frames': 0}, 'max_frames is 0: expected at least 1'),
+        ('a.gif', {'end': 0.0}, 'end is 0.0: expected more than 0 s'),
+        ('a.gif', {'speed': 0.0}, 'speed is 0.0: expected a value above 0, such as 10'),
     ],
 )
 def test_unusable_settings_are_refused_at_once(
