@@ -29,7 +29,8 @@ from shepherd_ros.bringup import herding_stack
 from shepherd_ros.cli.processes import isolate, running
 from shepherd_ros.recordings.check import check_bag
 from shepherd_ros.recordings.recording_writer import LOST_KEY
-from shepherd_ros.rosbag2.reader import Bag, open_bag
+from shepherd_ros.rosbag2.bag import Bag
+from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.rosbag2.recover import recover
 
 WORDS = ('-x', 'diagnostics|markers')  # several publish them, in an order of each recorder

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 from shepherd_ros.cli.processes import executable
-from shepherd_ros.rosbag2.reader import Bag, open_bag
+from shepherd_ros.rosbag2.bag import Bag
+from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.wire.encode import encode_scan
 
 PUBLISHERS = 4

@@ -22,7 +22,7 @@ class _Info:
     """Show what is in a bag: files, topics, episodes and their metrics."""
 
     bag: Bags
-    """Folder of a bag, or one .mcap file."""
+    """Folder of a bag, or one .mcap, .db3 or .bag file."""
     metrics: bool = True
     """Count the metrics of each episode from its poses."""
 
@@ -31,13 +31,7 @@ class _Info:
         from shepherd_ros.recordings.info import bag_info
         from shepherd_ros.rosbag2.reader import open_bag
 
-        bag = open_bag(self.bag)
-        text = bag_info(bag).text()
-        if self.metrics:
-            from shepherd_ros.recordings.episode_metrics import metrics_lines
-
-            text = '\n'.join([text, *metrics_lines(bag)])
-        print(text)
+        print(bag_info(open_bag(self.bag), self.metrics).text())
         return 0
 
 

@@ -16,8 +16,9 @@ from shepherd_ros.nodes.player_options import PlayerOptions
 from shepherd_ros.nodes.player_topics import playable_type, quality
 from shepherd_ros.ros.node import OK, ShepherdNode
 from shepherd_ros.ros.runtime import run
+from shepherd_ros.rosbag2.bag import BagMessage
 from shepherd_ros.rosbag2.qos import history
-from shepherd_ros.rosbag2.reader import BagMessage, open_bag
+from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.wire.encode import encode_clock
 from shepherd_ros.wire.topics import CLOCK
 from std_srvs.srv import SetBool, Trigger

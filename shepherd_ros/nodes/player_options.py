@@ -16,7 +16,7 @@ class PlayerOptions:
     """Play a bag back on its topics."""
 
     bag: tyro.conf.Positional[Path]
-    """Folder of a bag, or one .mcap file."""
+    """Folder of a bag, or one .mcap, .db3 or .bag file."""
     rate: Annotated[float, tyro.conf.arg(aliases=['-r'])] = 1.0
     """Pace; 2 is twice as fast."""
     topics: tuple[str, ...] = ()

@@ -10,9 +10,9 @@ from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, Reliabilit
 from rclpy.validate_full_topic_name import validate_full_topic_name
 from shepherd_ros.config import ConfigError
 from shepherd_ros.ros.node import message_type
+from shepherd_ros.rosbag2.bag import Bag
 from shepherd_ros.rosbag2.metadata import TopicInfo
 from shepherd_ros.rosbag2.qos import agreed, duration_ns, history, Qos
-from shepherd_ros.rosbag2.reader import Bag
 from shepherd_ros.wire.contract import installed_hash, text_hash
 
 

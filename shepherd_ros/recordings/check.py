@@ -16,8 +16,8 @@ from shepherd_ros.recordings.grouping import (
     SCANS,
 )
 from shepherd_ros.recordings.recording_writer import CONTRACT_KEY, LOST_KEY, TOPICS_KEY
+from shepherd_ros.rosbag2.bag import Bag
 from shepherd_ros.rosbag2.errors import BagError
-from shepherd_ros.rosbag2.reader import Bag
 from shepherd_ros.sim.lidar_layout import sorted_channels
 from shepherd_ros.wire.contract import (
     contract_hash,

@@ -14,8 +14,8 @@ from shepherd_ros.recordings.grouping import (
     RecordedGroups,
     RecordedState,
 )
+from shepherd_ros.rosbag2.bag import Bag
 from shepherd_ros.rosbag2.errors import BagError
-from shepherd_ros.rosbag2.reader import Bag
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.wire.decode import Floats, Ranges
 from shepherd_ros.wire.episode import Episode

@@ -13,8 +13,8 @@ from pyarrow import csv, parquet
 from shepherd_ros.config import unknown_name
 from shepherd_ros.recordings.episodes import Frame, iter_episodes, one_namespace, RecordedEpisode
 from shepherd_ros.recordings.grouping import RecordedGroups
+from shepherd_ros.rosbag2.bag import Bag
 from shepherd_ros.rosbag2.errors import BagError
-from shepherd_ros.rosbag2.reader import Bag
 
 FORMATS = ('parquet', 'csv')
 _KEY = [('episode', pa.int64()), ('step', pa.int64()), ('stamp_ns', pa.int64())]

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from shepherd_ros.config import ConfigError
+from shepherd_ros.rosbag2.bag import Bag, BagMessage
 from shepherd_ros.rosbag2.errors import BagError
-from shepherd_ros.rosbag2.reader import Bag, BagMessage
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS, sorted_channels
 from shepherd_ros.wire.contract import known, KnownTopic
 from shepherd_ros.wire.decode import CdrError, DECODERS, Floats, Poses, Ranges, Vector
@@ -78,8 +78,12 @@ def decoded(bag: Bag, message: BagMessage, kinds: Collection[str]) -> Any:
 
 def namespaces(bag: Bag) -> list[str]:
     """Return the namespaces that tell of episodes: [''] for most bags, [] for those of others."""
-    found = (known(name) for name, topic in bag.topics.items() if topic.count)
-    return [ours.namespace for ours in found if ours and ours.topic.name == EPISODE]
+    found = ((known(name), topic) for name, topic in bag.topics.items() if topic.count)
+    return [
+        ours.namespace
+        for ours, topic in found
+        if ours and ours.topic.name == EPISODE and topic.type in ours.types
+    ]
 
 
 def announced(bag: Bag, namespace: str) -> list[tuple[int, Episode]]:

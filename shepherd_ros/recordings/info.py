@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from shepherd_ros.recordings.grouping import namespaces, RecordedGroups, STATES
-from shepherd_ros.rosbag2.metadata import NO_START, STORAGE, TopicInfo
+from shepherd_ros.rosbag2.bag import Bag
+from shepherd_ros.rosbag2.metadata import NO_START, TopicInfo
 from shepherd_ros.rosbag2.qos import agreed, duration_ns
-from shepherd_ros.rosbag2.reader import Bag
+from shepherd_ros.wire.topics import GOAL
 
 INDENT = 19  # as in ros2 bag info
 
@@ -24,6 +25,7 @@ class EpisodeSummary:
     n_shepherds: int
     states: int  # with poses of both kinds
     expected: int  # states of a whole episode
+    metrics: list[str]  # [] if they were not asked for
 
     @property
     def whole(self) -> bool:
@@ -46,6 +48,7 @@ class BagInfo:
     topics: list[TopicInfo]
     custom_data: dict[str, str]
     episodes: list[EpisodeSummary]
+    metrics: list[str]  # short names of the metrics of episodes
 
     @property
     def duration_ns(self) -> int:
@@ -67,6 +70,14 @@ class BagInfo:
             ('Topic information:', [_topic(topic) for topic in self.topics]),
             ('Episodes:', [_episode(episode) for episode in self.episodes]),
         ]
+        if self.metrics and self.episodes:
+            table = [['episode', 'seed', *self.metrics]]
+            table += [
+                [f'{e.namespace} {e.number}'.strip(), str(e.seed), *e.metrics]
+                for e in self.episodes
+            ]
+            widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+            rows.append(('Metrics:', ['  '.join(map(str.rjust, row, widths)) for row in table]))
         lines = []
         for name, values in rows:
             for i, value in enumerate(values or ['']):
@@ -74,12 +85,14 @@ class BagInfo:
         return '\n'.join(lines)
 
 
-def bag_info(bag: Bag) -> BagInfo:
-    """Return the summary of a bag; raises BagError where its poses cannot be read."""
+def bag_info(bag: Bag, metrics: bool = False) -> BagInfo:
+    """Return the summary of a bag, in one pass; raises BagError where its poses cannot be read."""
+    if metrics:
+        from shepherd_ros.recordings.episode_metrics import metrics_heads, metrics_of  # need torch
     packed = {name or 'none' for storage in bag.storages for name in storage.compressions}
     episodes = []
     for namespace in namespaces(bag):
-        for group in RecordedGroups(bag, namespace, STATES):
+        for group in RecordedGroups(bag, namespace, (*STATES, GOAL) if metrics else STATES):
             info = group.info
             states = sum(1 for s in group.states.values() if s.sheep and s.shepherds)
             episodes.append(
@@ -91,12 +104,13 @@ def bag_info(bag: Bag) -> BagInfo:
                     n_shepherds=info.n_shepherds,
                     states=states,
                     expected=info.episode_steps + 1,
+                    metrics=metrics_of(bag, group) if metrics else [],
                 )
             )
     return BagInfo(
         files=[storage.path.name for storage in bag.storages],
         size=sum(storage.size for storage in bag.storages),
-        storage=STORAGE,
+        storage=bag.storage,
         distro=bag.metadata.distro if bag.metadata else '',
         compression=', '.join(sorted(packed)) or 'none',
         start_ns=bag.start_ns,
@@ -105,6 +119,7 @@ def bag_info(bag: Bag) -> BagInfo:
         topics=list(bag.topics.values()),
         custom_data=bag.custom_data,
         episodes=episodes,
+        metrics=metrics_heads() if metrics else [],
     )
 
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
+from shepherd_ros.rosbag2.bag import Bag, BagMessage
 from shepherd_ros.rosbag2.errors import BagError
-from shepherd_ros.rosbag2.reader import Bag, BagMessage
 
 
 @dataclass(frozen=True)

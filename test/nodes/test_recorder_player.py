@@ -52,9 +52,10 @@ from shepherd_ros.recordings.recording_writer import (
     LOST_KEY,
     VERSION_KEY,
 )
+from shepherd_ros.rosbag2.bag import Bag
 from shepherd_ros.rosbag2.diff import diff_bags
 from shepherd_ros.rosbag2.qos import Qos
-from shepherd_ros.rosbag2.reader import Bag, open_bag
+from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.rosbag2.writer import BagWriter
 from shepherd_ros.sim.presets import world_preset
 from shepherd_ros.sim.rollout import EnvConfig

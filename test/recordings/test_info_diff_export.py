@@ -25,9 +25,10 @@ from rosbag2.tiny import (
 from shepherd_ros.config import ConfigError
 from shepherd_ros.recordings.export import export_bag
 from shepherd_ros.recordings.info import bag_info
+from shepherd_ros.rosbag2.bag import Bag
 from shepherd_ros.rosbag2.diff import diff_bags
 from shepherd_ros.rosbag2.errors import BagError
-from shepherd_ros.rosbag2.reader import Bag, open_bag
+from shepherd_ros.rosbag2.reader import open_bag
 
 MESSAGES, TRUTH = recording()
 
@@ -94,6 +95,27 @@ def test_info_of_a_part_and_of_nothing(tmp_path: Path) -> None:
         'none',
     )
     assert 'Messages:          0\nTopic information:\nEpisodes:' in empty.text()
+
+
+def test_info_reads_a_bag_once(bag: Bag, monkeypatch: pytest.MonkeyPatch) -> None:
+    """But for the topic that announces episodes, which is looked at first."""
+    read: list[set[str]] = []
+    messages = Bag.messages
+
+    def counting(self: Bag, topics: Any = None, **options: Any) -> Any:
+        read.append(set(topics))
+        return messages(self, topics, **options)
+
+    monkeypatch.setattr(Bag, 'messages', counting)
+    text = bag_info(bag, metrics=True).text()
+    assert read == [{'/episode'}, {'/flock/poses', '/shepherds/poses', '/goal'}]
+    assert 'Metrics:' in text
+
+
+def test_a_topic_of_others_with_a_name_of_ours_is_no_episode(tmp_path: Path) -> None:
+    row = MESSAGES[0]._replace(type='std_msgs/msg/Float64', data=bytes(12))
+    info = bag_info(open_bag(write(tmp_path / 'bag', [row])), metrics=True)
+    assert (info.messages, info.episodes) == (1, [])
 
 
 # ---- diff ----

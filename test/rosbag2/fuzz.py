@@ -25,9 +25,10 @@ from types import FrameType
 from shepherd_ros.recordings.check import check_bag
 from shepherd_ros.recordings.episodes import iter_episodes
 from shepherd_ros.recordings.info import bag_info
+from shepherd_ros.rosbag2.bag import Bag
 from shepherd_ros.rosbag2.diff import diff_bags
 from shepherd_ros.rosbag2.errors import BagError
-from shepherd_ros.rosbag2.reader import Bag, open_bag
+from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.rosbag2.recover import recover
 
 SECONDS = 5.0  # of CPU time for one case; other load on the machine does not count

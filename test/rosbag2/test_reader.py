@@ -5,14 +5,18 @@ from __future__ import annotations
 from itertools import product
 from pathlib import Path
 import shutil
+import struct
 import tracemalloc
 
 from mcap.data_stream import RecordBuilder
 from mcap.writer import CompressionType, IndexType, Writer
 import pytest
 from rosbag2.tiny import cdr, LOG_START_NS, make, recording, Sent, STORE, tiny_bag, write
+from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.rosbag2.enums import StoragePlugin
+from rosbags.typesys import get_types_from_msg, get_typestore, Stores
+from shepherd_ros.recordings.info import bag_info
 from shepherd_ros.recordings.recording_writer import RecordingWriter
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.mcap_reader import Storage
@@ -183,6 +187,48 @@ def test_bags_of_rosbags(tmp_path: Path, version: int) -> None:
     assert [row[:2] + row[2:4] for row in rows(folder)] == [m[:4] for m in SENT]
 
 
+def test_sqlite_opens_with_its_profiles(tmp_path: Path) -> None:
+    for version in (8, 9):
+        folder = tmp_path / f'v{version}'
+        with RosbagsWriter(folder, version=version) as writer:  # type: ignore[arg-type]
+            connections = {}
+            for topic, kind, data, log_ns, _ in MESSAGES:
+                if topic not in connections:
+                    connections[topic] = writer.add_connection(topic, kind, typestore=STORE)
+                writer.write(connections[topic], log_ns, data)
+        assert [row[:4] for row in rows(folder)] == [m[:4] for m in SENT]
+        assert [row[:4] for row in rows(folder, topics=['/goal'], start_ns=SENT[60][3])] == [
+            m[:4] for m in SENT[60:] if m[0] == '/goal'
+        ]
+        assert rows(folder, topics=['/nothing']) == []
+        info = bag_info(open_bag(folder))
+        assert (info.storage, info.messages, len(info.episodes)) == ('sqlite3', len(SENT), 2)
+        assert (info.start_ns, info.end_ns) == (SENT[0][3], SENT[-1][3])
+        assert info.size > 10_000
+
+
+def test_bags_of_ros_1_become_cdr(tmp_path: Path) -> None:
+    """Headers have a number there, and types of their own come along."""
+    old = get_typestore(Stores.ROS1_NOETIC)
+    old.register(get_types_from_msg('std_msgs/Header header\nint32 n', 'wool_msgs/msg/Sheep'))
+    header, time = (old.types[f'{p}/msg/{n}'] for p, n in
+                    (('std_msgs', 'Header'), ('builtin_interfaces', 'Time')))  # fmt: skip
+    sheep = old.types['wool_msgs/msg/Sheep'](header(9, time(3, 4), 'world'), 7)
+    text = old.types['std_msgs/msg/String']('meadow')
+    with Ros1Writer(tmp_path / 'old.bag') as writer:
+        for topic, message, latching in (('/sheep', sheep, 0), ('/map', text, 1)):
+            kind = message.__msgtype__
+            connection = writer.add_connection(topic, kind, typestore=old, latching=latching)
+            writer.write(connection, 5, old.serialize_ros1(message, kind))
+    bag = open_bag(tmp_path / 'old.bag')
+    first, last = sorted(bag.messages(), key=lambda m: m.topic)
+    assert first == ('/map', 'std_msgs/msg/String', 5, 5, cdr(make('String', data='meadow')))
+    assert last.data[4:16] == struct.pack('<iII', 3, 4, 6)
+    assert last.data[-4:] == struct.pack('<i', 7)
+    assert [t.qos[0].durability for t in bag.topics.values()] == ['transient_local', 'volatile']
+    assert 'Storage id:        bag\n' in bag_info(bag).text()
+
+
 # ---- what cannot be read ----
 
 
@@ -219,8 +265,16 @@ def test_metadata_that_names_other_files_is_refused(bag: Path, tmp_path: Path) -
         open_bag(copy)
     for old, new, what in (
         ('bag_1.mcap', '../../nothing.mcap', r'copy/nothing.mcap: it is not there'),
-        ('storage_identifier: mcap', 'storage_identifier: sqlite3', "its storage is 'sqlite3'"),
-        ("compression_mode: ''", 'compression_mode: FILE', "its compression is by 'FILE'"),
+        (
+            'storage_identifier: mcap',
+            'storage_identifier: sqlite3',
+            'copy: it cannot be read',
+        ),
+        (
+            "compression_mode: ''",
+            'compression_mode: FILE',
+            'copy: it cannot be read',
+        ),
         ('version', '  version', 'its metadata is no YAML'),
         ('message_count', 'count', 'its metadata cannot be read'),
     ):
