@@ -173,12 +173,13 @@ def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
             'policy': policy.config,
             'run': config,
             'pretrained': arguments.pretrained,
+            **({'bags': [str(place) for place in arguments.bags]} if kind is BCConfig else {}),
         },
     }
     run = RunFolder(arguments.out, record)
     bags = [arguments.bags] if kind is BCConfig else []
     result = train(policy, *bags, config, run, show)
-    if kind is BCConfig:
+    if kind is BCConfig and result.bags:
         print(result.text())
     if rank() == 0:
         print(f'the best policy is in {run.best}')

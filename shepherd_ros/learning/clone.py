@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from shepherd_ros.config import Config, option
 from shepherd_ros.policy.policy import Policy
@@ -43,6 +44,17 @@ class Examples:
         self.first = torch.empty(capacity, dtype=torch.int64)
         self.wanted = torch.empty(capacity, 2)
         self.capacity, self.count = capacity, 0
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the examples that are there, and how many there were."""
+        there = {name: getattr(self, name)[: len(self)] for name in ('frames', 'first', 'wanted')}
+        return {'count': self.count, **{name: kept.clone() for name, kept in there.items()}}
+
+    def load_state_dict(self, kept: dict[str, Any]) -> None:
+        """Restore the state that state_dict() returned."""
+        self.count = kept['count']
+        for name in ('frames', 'first', 'wanted'):
+            getattr(self, name)[: len(self)] = kept[name]
 
     def __len__(self) -> int:
         """Return how many there are."""
@@ -86,6 +98,18 @@ class CloneLearner:
         self.optimiser = torch.optim.Adam(policy.actor.parameters(), config.learning_rate)
         self.generator = torch.Generator().manual_seed(seed)
         self.average = AveragedModel(policy.actor, multi_avg_fn=running_mean(config.ema_decay))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state of the learner."""
+        parts = ('policy', 'optimiser', 'average')
+        kept = {name: getattr(self, name).state_dict() for name in parts}
+        return {**kept, 'generator': self.generator.get_state()}
+
+    def load_state_dict(self, kept: dict[str, Any]) -> None:
+        """Restore the state that state_dict() returned."""
+        for name in ('policy', 'optimiser', 'average'):
+            getattr(self, name).load_state_dict(kept[name])
+        self.generator.set_state(kept['generator'])
 
     def averaged(self, policy: Policy) -> Policy:
         """Return the policy, to whose actor the running mean of the weights is given."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass
-import time
 from typing import Any
 
 from shepherd_ros.config import Config, option, part
@@ -22,7 +21,6 @@ from shepherd_ros.learning.dagger_bags import DaggerBags
 from shepherd_ros.learning.group import WorldGroup
 from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.task import TaskConfig
-from shepherd_ros.learning.validation import validate
 from shepherd_ros.policy import inference
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
@@ -88,21 +86,35 @@ class LabelledWorlds:
     """A group of worlds in which a learner drives and a teacher labels the states."""
 
     def __init__(
-        self, config: DaggerConfig, policy: Policy, index: int, dtype: torch.dtype
+        self,
+        config: DaggerConfig,
+        policy: Policy,
+        index: int,
+        dtype: torch.dtype,
+        again: bool = False,
     ) -> None:
-        """Make the worlds and start their first episode, the shorter the lower the index."""
+        """
+        Make the worlds and start their first episode, the shorter the lower the index.
+
+        again: they are those of a run that goes on, whose bags are written once more.
+        """
         self.config, self.policy, self.dtype = config, policy, dtype
         lidar = policy.config.lidar
         self.group = WorldGroup(
             config.task, index, config.worlds, config.seed, lidar, count=bool(config.bag_folder)
         )
         self.full = config.task.episode_steps
-        self.bags = DaggerBags(config.bag_folder)
+        self.again = again
         self._begin(max(self.full * (index + 1) // config.groups, 1))
 
     def _begin(self, steps: int) -> None:
         """Start an episode with new memories."""
         self.group.begin(steps)
+        self.bags = DaggerBags(self.config.bag_folder, self.again)
+        self._meet()
+
+    def _meet(self) -> None:
+        """Take the teachers of the group's world, and memories of nothing."""
         now = self.group.moment
         state, world = now.state, now.config.world
         require_same_world(self.policy, world)
@@ -136,11 +148,15 @@ class LabelledWorlds:
         return command
 
     def run(self, steps: int, teacher_drives: bool, examples: Examples) -> None:
-        """Drive on for some steps and keep examples."""
+        """Drive on for some steps and keep examples, of steps in which the learner decides."""
+        wanted_one = False
         for t in range(steps):
             now = self.group.moment
+            decides = bool((self.learned['count'] % self.policy.config.action_repeat == 0).all())
             label, command = self._label(now.state), self._command(now)
-            if t % self.config.example_interval == 0:
+            wanted_one |= t % self.config.example_interval == 0
+            if wanted_one and decides:
+                wanted_one = False
                 present = now.state.shepherd_mask
                 frames = self.policy.config.frames.seen(self.learned['history'][present])
                 first = self.learned['first'][present]
@@ -157,6 +173,75 @@ class LabelledWorlds:
         """Finish the bags of the episode."""
         self.bags.close(self.group.moment)
 
+    def state_dict(self) -> dict[str, Any]:
+        """Return the episode and what is remembered of it."""
+        memories = {'taught': self.taught, 'learned': self.learned}
+        if self.home_teacher is not None:
+            memories['taught_home'] = self.taught_home
+        return {'group': self.group.state_dict(), 'memories': memories}
+
+    def load_state_dict(self, kept: dict[str, Any]) -> None:
+        """Go on from what state_dict() gave; the episode that was cut has no bag."""
+        self.group.load_state_dict(kept['group'])
+        self.bags = DaggerBags('')
+        self._meet()
+        for name, memory in kept['memories'].items():
+            setattr(self, name, memory)
+
+
+class DaggerTrainer:
+    """Worlds that a learner drives, and the examples of the teacher in them."""
+
+    def __init__(self, policy: Policy, config: DaggerConfig, again: bool) -> None:
+        """Start all; again: a run goes on."""
+        self.policy, self.config, self.eval_freq = policy, config, config.eval_freq
+        self.dtype = fast_dtype()
+        self.cloner = CloneLearner(deepcopy(policy), config.clone, config.seed)
+        self.worlds = [
+            LabelledWorlds(config, policy, i, self.dtype, again) for i in range(config.groups)
+        ]
+        self.examples = Examples(policy, config.buffer_size, self.dtype)
+        self.progress = {'updates': 0, 'samples': 0, 'examples': 0}
+
+    def share(self) -> float:
+        """Return which share of the rounds is done."""
+        return self.progress['updates'] / self.config.rounds
+
+    def averaged(self) -> Policy:
+        """Return the policy that drives."""
+        return self.policy
+
+    def update(self, stopping: Callable[[], bool]) -> dict[str, float]:
+        """Drive and learn for a round; return its loss."""
+        config, done = self.config, self.progress['updates']
+        for i, worlds in enumerate(self.worlds):
+            shown = done < config.teacher_rounds or i < config.teacher_groups
+            worlds.run(config.steps_per_round, shown, self.examples)
+        self.cloner.slow_down(1 - 0.95 * self.share())
+        loss = self.cloner.learn(self.examples)
+        self.cloner.averaged(self.policy)
+        samples = (done + 1) * config.clone.updates_per_round * config.clone.batch_size
+        self.progress = {'updates': done + 1, 'samples': samples, 'examples': len(self.examples)}
+        return {'loss': loss}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state of the training."""
+        return {
+            'cloner': self.cloner.state_dict(),
+            'worlds': [worlds.state_dict() for worlds in self.worlds],
+            'examples': self.examples.state_dict(),
+            'progress': dict(self.progress),
+        }
+
+    def load_state_dict(self, kept: dict[str, Any]) -> None:
+        """Restore the state that state_dict() returned."""
+        self.cloner.load_state_dict(kept['cloner'])
+        self.cloner.averaged(self.policy)
+        for worlds, state in zip(self.worlds, kept['worlds'], strict=True):
+            worlds.load_state_dict(state)
+        self.examples.load_state_dict(kept['examples'])
+        self.progress = dict(kept['progress'])
+
 
 def train_dagger(
     policy: Policy,
@@ -169,32 +254,8 @@ def train_dagger(
 
     What drives, is judged and kept is a running mean of the weights that learn.
     """
-    dtype = fast_dtype()
-    cloner = CloneLearner(deepcopy(policy), config.clone, config.seed)
-    lessons = [LabelledWorlds(config, policy, i, dtype) for i in range(config.groups)]
-    examples = Examples(policy, config.buffer_size, dtype)
-    begun = time.monotonic()
-    for done in range(config.rounds):
-        for i, lesson in enumerate(lessons):
-            shown = done < config.teacher_rounds or i < config.teacher_groups
-            lesson.run(config.steps_per_round, shown, examples)
-        cloner.slow_down(1 - 0.95 * done / config.rounds)
-        loss = cloner.learn(examples)
-        cloner.averaged(policy)
-        seconds = time.monotonic() - begun
-        line: dict[str, Any] = {
-            'updates': done + 1,
-            'samples': (done + 1) * config.clone.updates_per_round * config.clone.batch_size,
-            'examples': len(examples),
-            'seconds': seconds,
-            'seconds_left': seconds / (done + 1) * (config.rounds - done - 1),
-            'loss': loss,
-        }
-        if (done + 1) % config.eval_freq == 0 or done + 1 == config.rounds:
-            results = validate(policy, config.task, config.eval_episodes, config.eval_steps, dtype)
-            line |= run.keep_best(policy, results, line)
-        run.write(line)
-        on_line(line)
-    for lesson in lessons:
-        lesson.close()
+    trainer = DaggerTrainer(policy, config, run.found)
+    run.train(trainer, on_line)
+    for worlds in trainer.worlds:
+        worlds.close()
     return policy

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+import shutil
 
 from shepherd_ros.config import ConfigError
 from shepherd_ros.learning.group import WorldGroup
@@ -29,10 +30,14 @@ LABELS = 'teacher'  # namespace
 class DaggerBags:
     """Writes the episodes of a group of worlds, a bag for each world and episode."""
 
-    def __init__(self, out: Path | str, compression: str = 'zstd') -> None:
-        """Take the folder of the bags, none if it is empty; it is made with the first bag."""
+    def __init__(self, out: Path | str, again: bool = False, compression: str = 'zstd') -> None:
+        """
+        Take the folder of the bags, none if it is empty; it is made with the first bag.
+
+        again: a run that goes on writes bags that are there once more.
+        """
         self.out = Path(out) if out else None
-        self.compression = compression
+        self.again, self.compression = again, compression
         self.bags: list[EpisodeBag] = []
 
     def add(self, group: WorldGroup, driven: Tensor, labels: Tensor) -> None:
@@ -60,7 +65,9 @@ class DaggerBags:
         start = group.moment.state
         for seed in start.seed.tolist():
             folder = episode_folder(out, seed)
-            if folder.exists():
+            if folder.exists() and self.again:
+                shutil.rmtree(folder)
+            elif folder.exists():
                 raise ConfigError(
                     f'bag_folder is {str(out)!r}: {folder.name} is there already; choose another '
                     'folder or remove it'

@@ -42,6 +42,21 @@ def least(number: int) -> int:
     return number if ranks() == 1 else int(_reduced([number], 'MIN')[0])
 
 
+def gathered(own: bytes) -> list[bytes]:
+    """Return what each process has, in order, to the first; nothing to the others."""
+    parts: Any = [None] * ranks() if rank() == 0 else None
+    _distributed().gather_object(own, parts)
+    return parts or []
+
+
+def from_first(own: Any) -> Any:
+    """Return what the first process has."""
+    box = [own]
+    if ranks() > 1:
+        _distributed().broadcast_object_list(box)
+    return box[0]
+
+
 def add_up(tensors: Iterable[Any]) -> None:
     """Replace float tensors by their sums over all processes, in place."""
     if ranks() == 1:

@@ -50,14 +50,17 @@ def approximate_kl(log_ratio: Tensor) -> Tensor:
 
 
 def explained_variance(guess: Tensor, target: Tensor) -> float:
-    """Return the share of the variance of the target that the guess explains."""
+    """Return the share of the variance of the target that the guess explains, 0 of one alone."""
+    if len(target) < 2:
+        return 0.0
     return float(1 - (target - guess).var() / target.var().clamp(min=1e-12))
 
 
 def normalised(gain: Tensor) -> Tensor:
     """Return advantages with mean 0 and deviation 1 over all processes."""
     if ranks() == 1:
-        return (gain - gain.mean()) / gain.std().clamp(min=1e-8)
+        spread = gain.std() if len(gain) > 1 else gain.new_zeros(())
+        return (gain - gain.mean()) / spread.clamp(min=1e-8)
     count = total(len(gain))
     mean = total(float(gain.sum())) / count
     variance = total(float((gain - mean).square().sum())) / max(count - 1, 1)

@@ -1,32 +1,114 @@
-"""Folder of a training run: its configuration, its curve, its state and its best policy."""
+"""
+Folder of a training run: its configuration, its curve, its state and its best policy.
+
+A state is saved before each evaluation, and after SIGTERM and Ctrl-C, when the running update is
+over. Whenever a run ends, the same command goes on with the same numbers as if it had not ended.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+import fcntl
+import io
 import json
 import math
+import os
 from pathlib import Path
 import pickle
-from typing import Any
+import signal
+import threading
+import time
+from typing import Any, Protocol
 
+from safetensors import SafetensorError
 from shepherd_ros.config import Config, ConfigError
-from shepherd_ros.learning.distributed import rank
-from shepherd_ros.policy.checkpoint import save_policy
+from shepherd_ros.learning.distributed import from_first, gathered, rank, ranks, total
+from shepherd_ros.learning.validation import validate
+from shepherd_ros.policy.checkpoint import read_checkpoint_metadata, save_policy
 from shepherd_ros.policy.policy import Policy
 import torch
 
-# what torch raises for bytes that are no state
+# what torch raises for bytes that are no state, and what a state of another run leads to
 UNREADABLE = (
     AttributeError, EOFError, LookupError, OSError, pickle.UnpicklingError, RuntimeError,
     TypeError, ValueError,
 )  # fmt: skip
+LENGTHS = ('samples', 'rounds', 'epochs')  # options that a run may be given more of
+
+
+class Trainer(Protocol):
+    """What learns, update by update, and goes on from a state."""
+
+    config: Any  # with eval_episodes, eval_steps and the task
+    eval_freq: int  # updates from one evaluation to the next
+    policy: Policy
+    dtype: torch.dtype
+    progress: dict[str, Any]  # `updates`, `samples` and what else a line begins with
+
+    def share(self) -> float:
+        """Return which share of the whole is done; at least 1 at the end."""
+
+    def update(self, stopping: Callable[[], bool]) -> dict[str, float] | None:
+        """Learn once; return logged scalars, None if it stopped in between as it was told to."""
+
+    def averaged(self) -> Policy:
+        """Return the policy to evaluate and to keep."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state of the training."""
+
+    def load_state_dict(self, kept: dict[str, Any]) -> None:
+        """Restore the state that state_dict() returned."""
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Raise ConfigError for what goes wrong while a file is written."""
+    try:
+        yield
+    except (OSError, RuntimeError, SafetensorError) as error:  # torch and a full disk: the second
+        raise ConfigError(
+            f'{path} cannot be written ({error!s:.200}): expected a folder with room; what was '
+            'there is kept, and the same command goes on from it'
+        ) from error
+
+
+def replace_file(path: Path, write: Callable[[Any], object]) -> None:
+    """Write a file beside and move it into place: the one before stays until it is whole."""
+    beside = path.with_suffix('.part')
+    with writing(path):
+        try:
+            with beside.open('wb') as file:
+                write(file)
+                file.flush()
+                os.fsync(file.fileno())
+            beside.replace(path)
+        finally:
+            beside.unlink(missing_ok=True)
+        folder = os.open(path.parent, os.O_RDONLY)
+        os.fsync(folder)
+        os.close(folder)
+
+
+def is_same(asked: Any, stored: Any) -> bool:
+    """Return whether a stored part of a configuration is what is asked for, or a shorter run."""
+    if not isinstance(asked, Config):
+        return bool(asked == stored)
+    longer = {
+        name: getattr(asked, name)
+        for name in LENGTHS
+        if isinstance(stored, Mapping) and 0 < stored.get(name, 0) <= getattr(asked, name, 0)
+    }
+    return asked.equals({**stored, **longer} if longer else stored)
 
 
 class RunFolder:
     """
     A folder with run.json (what was asked), curve.jsonl, state.pt and best.safetensors.
 
-    TensorBoard reads its curves from the same folder.
+    It belongs to one process, which locks it; of several, to the first. TensorBoard reads its
+    curves from the same folder.
     """
 
     def __init__(self, folder: Path, record: Mapping[str, Any]) -> None:
@@ -37,50 +119,198 @@ class RunFolder:
             for name, value in asked_for.items()
         }
         self.folder, self.record = folder, {**record, 'config': config}
-        self.best = folder / 'best.safetensors'
-        self.best_score = -math.inf
-        self.state = folder / (f'state_{rank()}.pt' if rank() else 'state.pt')
-        asked = folder / 'run.json'
-        folder.mkdir(parents=True, exist_ok=True)
-        if asked.exists():
-            before = json.loads(asked.read_text(encoding='utf-8'))['config']
-            if before.keys() != asked_for.keys() or not all(
-                value.equals(before[name]) if isinstance(value, Config) else value == before[name]
-                for name, value in asked_for.items()
-            ):
-                raise ConfigError(
-                    f'{folder} holds a run with another configuration: expected the same to go '
-                    'on with it; choose another --out, or remove the folder'
-                )
-        elif rank() == 0:
-            asked.write_text(json.dumps(self.record, indent=1), encoding='utf-8')
+        self.best, self.best_score = folder / 'best.safetensors', -math.inf
+        self.state, self.curve = folder / 'state.pt', folder / 'curve.jsonl'
+        self.seconds, self.signal, self.saved = 0.0, 0, False
         self._board: Any = None
+        asked = folder / 'run.json'
+        self.found = asked.exists()
+        if rank() > 0:
+            return
+        with writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        before = self._stored(asked) if self.found else {}
+        if self.found and not (
+            before.keys() == asked_for.keys()
+            and all(is_same(value, before[name]) for name, value in asked_for.items())
+        ):
+            raise ConfigError(
+                f'{folder} holds a run with another configuration: expected the same, or more '
+                'samples, rounds or epochs, to go on with it; choose another --out, or remove '
+                'the folder'
+            )
+        self._lock()
+        if before != config:
+            text = json.dumps(self.record, indent=1)
+            replace_file(asked, lambda file: file.write(text.encode()))
+        if self.best.exists():
+            score = read_checkpoint_metadata(self.best)[1].get('eval', {}).get('score', -math.inf)
+            self.best_score = score if math.isfinite(score) else -math.inf
 
-    def load(self) -> dict[str, Any] | None:
-        """Return the state that was saved last, cut the curve back to it; None: there is none."""
-        curve = self.folder / 'curve.jsonl'
-        if not self.state.exists():
-            if rank() == 0:
-                curve.unlink(missing_ok=True)
-            return None
+    def _stored(self, asked: Path) -> dict[str, Any]:
+        """Return the configuration of the run that is there."""
         try:
-            state = torch.load(self.state, weights_only=True, map_location='cpu')
+            return dict(json.loads(asked.read_text(encoding='utf-8'))['config'])
         except UNREADABLE as error:
             raise ConfigError(
-                f'{self.state} cannot be read ({error}): remove it to start anew'
+                f'{asked} cannot be read ({error!s:.200}): expected that of a run; choose another '
+                '--out, or remove the folder'
             ) from error
-        if rank() > 0:
-            return dict(state)
-        lines = curve.read_text(encoding='utf-8').splitlines(keepends=True)
-        # later lines are written again; the last one may be torn
-        curve.write_text(''.join(lines[: state['progress']['updates']]), encoding='utf-8')
-        return dict(state)
 
-    def save(self, state: Mapping[str, Any]) -> None:
-        """Write a state; the one before stays until the new one is whole."""
-        beside = self.state.with_suffix('.part')
-        torch.save(dict(state), beside)
-        beside.replace(self.state)
+    def _lock(self) -> None:
+        """Keep others out until train() is over or the process ends."""
+        with writing(self.folder):
+            self.lock = (self.folder / 'lock').open('w')
+        try:
+            fcntl.flock(self.lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise ConfigError(
+                f'{self.folder} is in use: expected one training at a time; wait until the other '
+                'is over, or choose another --out'
+            ) from None
+
+    def train(self, trainer: Trainer, on_line: Callable[[dict[str, Any]], None]) -> None:
+        """Go on where the run is, until all is done; on_line hears each line of the curve."""
+        with self._signals():
+            line = self.load(trainer)
+            if line is not None:
+                self._finish(trainer, line, on_line)
+            begun = time.monotonic() - self.seconds
+            while trainer.share() < 1:
+                seen = trainer.update(self.stopping)
+                self.seconds = time.monotonic() - begun
+                line, stop = None, self.stopping()
+                if seen is not None:
+                    self._require_finite(trainer, seen)
+                    share = trainer.share()
+                    line = {
+                        **trainer.progress,
+                        'seconds': self.seconds,
+                        'samples_per_second': trainer.progress['samples'] / self.seconds,
+                        'seconds_left': self.seconds * max(1 / share - 1, 0),
+                        **seen,
+                    }
+                if stop or self._due(trainer):
+                    self.save(trainer, line)
+                if stop:
+                    self._leave()
+                if line is not None and rank() == 0:
+                    self._finish(trainer, line, on_line)
+                    self.seconds = time.monotonic() - begun
+
+    def stopping(self) -> bool:
+        """Return whether a process was told to end; all processes ask at the same places."""
+        return total(float(self.signal > 0)) > 0
+
+    def load(self, trainer: Trainer) -> dict[str, Any] | None:
+        """Go on from the state that was saved last; return the line that the curve lacks."""
+        kept: Any = None
+        try:
+            if rank() == 0 and self.state.exists():
+                kept = torch.load(self.state, weights_only=True, map_location='cpu')
+            kept = from_first(kept)
+            if kept is None:
+                self.curve.unlink(missing_ok=True)
+                return None
+            states, line, self.seconds = kept['ranks'], kept['line'], kept['seconds']
+            if len(states) != ranks():
+                raise ConfigError(f'{len(states)} processes, expected {ranks()}, as now')
+            trainer.load_state_dict(states[rank()])
+        except UNREADABLE as error:
+            raise ConfigError(
+                f'{self.state} cannot be read as a state of this run on this device '
+                f'({error!s:.200}): remove it to start anew'
+            ) from error
+        return self._cut(trainer.progress['updates'], line) if rank() == 0 else None
+
+    def _cut(self, updates: int, line: dict[str, Any] | None) -> dict[str, Any] | None:
+        """Cut the curve to so many updates; return the line of the last if it lacks it."""
+        lines: list[str] = []
+        with suppress(FileNotFoundError):
+            lines = self.curve.read_text(encoding='utf-8').splitlines(keepends=True)
+        whole = [text for text in lines[:updates] if text.endswith('\n')]
+        if len(whole) < updates - (line is not None):
+            raise ConfigError(
+                f'{self.curve} has {len(whole)} lines: expected {updates}, as {self.state.name} '
+                f'is of that update; remove {self.state} to start anew'
+            )
+        if whole != lines:  # what comes later is written again; the last one may be torn
+            replace_file(self.curve, lambda file: file.write(''.join(whole).encode()))
+        return None if len(whole) == updates else line
+
+    def save(self, trainer: Trainer, line: dict[str, Any] | None) -> None:
+        """Write the state of all processes, with the line that the curve still lacks."""
+        states = [trainer.state_dict()]
+        if ranks() > 1:
+            buffer = io.BytesIO()
+            torch.save(states[0], buffer)
+            parts = [io.BytesIO(part) for part in gathered(buffer.getvalue())]
+            states = [torch.load(part, weights_only=True, map_location='cpu') for part in parts]
+        if rank() == 0:
+            state = {'ranks': states, 'line': line, 'seconds': self.seconds}
+            replace_file(self.state, lambda file: torch.save(state, file))
+
+    def _due(self, trainer: Trainer) -> bool:
+        """Return whether the policy is evaluated after this update."""
+        return trainer.share() >= 1 or trainer.progress['updates'] % trainer.eval_freq == 0
+
+    def _finish(
+        self, trainer: Trainer, line: dict[str, Any], on_line: Callable[[dict[str, Any]], None]
+    ) -> None:
+        """Evaluate where it is due, and write the line."""
+        if self._due(trainer):
+            self.saved, config, policy = True, trainer.config, trainer.averaged()
+            if self.signal:
+                self._leave()
+            results = validate(
+                policy, config.task, config.eval_episodes, config.eval_steps, trainer.dtype
+            )
+            self.saved = False
+            line |= self.keep_best(policy, results, line)
+        self.write(line)
+        on_line(line)
+
+    def _require_finite(self, trainer: Trainer, seen: Mapping[str, float]) -> None:
+        """Raise ConfigError for a learner that is broken; nothing of it is kept."""
+        wrong = [name for name, value in seen.items() if not math.isfinite(value)]
+        weights = trainer.policy.state_dict().items()
+        wrong += [name for name, weight in weights if not weight.isfinite().all()]
+        if wrong:
+            raise ConfigError(
+                f'{wrong[0]} is not finite after update {trainer.progress["updates"]}: expected '
+                f'numbers; lower the learning rates; {self.folder} keeps what was before'
+            )
+
+    @contextmanager
+    def _signals(self) -> Iterator[None]:
+        """Hear SIGINT and SIGTERM: the first waits for a state that can be saved."""
+
+        def hear(number: int, frame: Any) -> None:
+            again, self.signal = self.signal > 0, number
+            if again or self.saved:
+                self._leave()
+
+        there = threading.current_thread() is threading.main_thread()
+        numbers = (signal.SIGINT, signal.SIGTERM) if there else ()
+        heard = [n for n in numbers if signal.getsignal(n) is not signal.SIG_IGN]
+        before = {number: signal.signal(number, hear) for number in heard}
+        try:
+            yield
+        except RuntimeError:  # others have left while this process waited for them
+            if not self.signal:
+                raise
+            self._leave()
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+            if rank() == 0:
+                self.lock.close()
+
+    def _leave(self) -> None:
+        """End as the signal asks for."""
+        if self.signal == signal.SIGINT:
+            raise KeyboardInterrupt
+        raise SystemExit(128 + (self.signal or signal.SIGTERM))
 
     def keep_best(
         self, policy: Policy, results: Mapping[str, float], progress: Mapping[str, Any]
@@ -88,22 +318,24 @@ class RunFolder:
         """Keep a policy if its score is the best so far; return the results as part of a line."""
         if results['score'] > self.best_score:
             self.best_score = results['score']
-            save_policy(
-                self.best,
-                policy,
-                self.record | {'progress': dict(progress), 'eval': dict(results)},
-            )
+            about = {'progress': dict(progress), 'eval': dict(results)}
+            with writing(self.best):
+                save_policy(self.best, policy, self.record | about)
         return {f'eval/{name}': value for name, value in results.items()}
 
     def write(self, line: Mapping[str, Any]) -> None:
         """Add a line to the curve, and its numbers to TensorBoard."""
-        with (self.folder / 'curve.jsonl').open('a', encoding='utf-8') as file:
-            file.write(json.dumps(dict(line)) + '\n')
-        if self._board is None:
-            from torch.utils.tensorboard import SummaryWriter
+        numbers = {name: value for name, value in line.items() if isinstance(value, float)}
+        odd = {name: None for name, value in numbers.items() if not math.isfinite(value)}
+        with writing(self.curve):
+            with self.curve.open('a', encoding='utf-8') as file:
+                file.write(json.dumps({**line, **odd}) + '\n')
+                file.flush()
+                os.fsync(file.fileno())
+            if self._board is None:
+                from torch.utils.tensorboard import SummaryWriter
 
-            self._board = SummaryWriter(str(self.folder), purge_step=int(line['samples']))
-        for name, value in line.items():
-            if isinstance(value, float):
+                self._board = SummaryWriter(str(self.folder), purge_step=int(line['samples']))
+            for name, value in numbers.items():
                 self._board.add_scalar(name, value, int(line['samples']))
-        self._board.flush()
+            self._board.flush()

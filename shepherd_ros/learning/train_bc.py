@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-import time
 from typing import Any
 
 from shepherd_ros.config import Config, ConfigError, option, part
@@ -16,7 +15,6 @@ from shepherd_ros.datasets.steps import Steps
 from shepherd_ros.learning.clone import CloneConfig, CloneLearner, Examples
 from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.task import TaskConfig
-from shepherd_ros.learning.validation import validate
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.observation import turned
@@ -71,6 +69,77 @@ def stream_examples(
             yield policy.scaled(frames), first, wanted
 
 
+class BCTrainer:
+    """The examples of bags, of which an epoch may be cut off and go on."""
+
+    eval_freq = 1
+
+    def __init__(self, policy: Policy, places: Sequence[Path], config: BCConfig) -> None:
+        """Start with the first epoch."""
+        self.policy, self.places, self.config = policy, places, config
+        self.dtype = fast_dtype()
+        self.examples = Examples(policy, config.buffer_size, self.dtype)
+        self.cloner = CloneLearner(deepcopy(policy), config.clone, config.seed)
+        self.report = Report()
+        self.progress = {'updates': 0, 'samples': 0}
+        self.read = 0  # episodes of this epoch
+        self.due = 0.0  # batches
+        self.losses: list[float] = []
+
+    def share(self) -> float:
+        """Return which share of the epochs is done."""
+        return self.progress['updates'] / self.config.epochs
+
+    def averaged(self) -> Policy:
+        """Return the policy with the running mean of the weights."""
+        return self.cloner.averaged(self.policy)
+
+    def update(self, stopping: Callable[[], bool]) -> dict[str, float] | None:
+        """Learn for the rest of an epoch; return its loss, None if it is cut off."""
+        config, progress, self.report = self.config, self.progress, Report()
+        self.cloner.slow_down(1 - 0.95 * self.share())
+        order = int(mixed_seeds(1, config.seed, progress['updates']))
+        stream = stream_examples(self.places, self.policy, self.report, order, config.labels)
+        for number, (frames, first, wanted) in enumerate(stream):
+            if number < self.read:
+                continue
+            self.examples.add(frames, first, wanted)
+            self.due += config.replay_ratio * len(first) / config.clone.batch_size
+            while self.due >= 1:
+                self.losses.append(self.cloner.take_step(self.examples))
+                progress['samples'] += config.clone.batch_size
+                self.due -= 1
+            self.read = number + 1
+            if stopping():
+                return None
+        if not self.report.examples:
+            raise ConfigError(f'no step of the bags can be learned from:\n{self.report.text()}')
+        if not self.losses:  # fewer examples than one batch has
+            self.losses.append(self.cloner.take_step(self.examples))
+        loss = sum(self.losses) / len(self.losses)
+        progress['updates'] += 1
+        self.averaged()
+        self.read, self.due, self.losses = 0, 0.0, []
+        return {'loss': loss}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state of the training."""
+        return {
+            'cloner': self.cloner.state_dict(),
+            'examples': self.examples.state_dict(),
+            'progress': dict(self.progress),
+            'epoch': (self.read, self.due, self.losses),
+        }
+
+    def load_state_dict(self, kept: dict[str, Any]) -> None:
+        """Restore the state that state_dict() returned."""
+        self.cloner.load_state_dict(kept['cloner'])
+        self.averaged()
+        self.examples.load_state_dict(kept['examples'])
+        self.progress = dict(kept['progress'])
+        self.read, self.due, self.losses = kept['epoch']
+
+
 def train_bc(
     policy: Policy,
     places: Sequence[Path],
@@ -85,38 +154,6 @@ def train_bc(
     learned apart. What is judged and kept is a running mean of the weights. Raises ConfigError
     if the bags hold no example.
     """
-    dtype = fast_dtype()
-    examples = Examples(policy, config.buffer_size, dtype)
-    cloner = CloneLearner(deepcopy(policy), config.clone, config.seed)
-    begun, learned = time.monotonic(), 0
-    report = Report()
-    for epoch in range(config.epochs):
-        report = Report()
-        cloner.slow_down(1 - 0.95 * epoch / config.epochs)
-        losses: list[float] = []
-        due = 0.0
-        order = int(mixed_seeds(1, config.seed, epoch))
-        for frames, first, wanted in stream_examples(places, policy, report, order, config.labels):
-            examples.add(frames, first, wanted)
-            due += config.replay_ratio * len(first) / config.clone.batch_size
-            while due >= 1:
-                losses.append(cloner.take_step(examples))
-                learned, due = learned + config.clone.batch_size, due - 1
-        if not report.examples:
-            raise ConfigError(f'no step of the bags can be learned from:\n{report.text()}')
-        if not losses:  # fewer examples than one batch has
-            losses.append(cloner.take_step(examples))
-        cloner.averaged(policy)
-        results = validate(policy, config.task, config.eval_episodes, config.eval_steps, dtype)
-        seconds = time.monotonic() - begun
-        line: dict[str, Any] = {
-            'updates': epoch + 1,
-            'samples': learned,
-            'seconds': seconds,
-            'seconds_left': seconds / (epoch + 1) * (config.epochs - epoch - 1),
-            'loss': sum(losses) / len(losses),
-        }
-        line |= run.keep_best(policy, results, line)
-        run.write(line)
-        on_line(line)
-    return report
+    trainer = BCTrainer(policy, places, config)
+    run.train(trainer, on_line)
+    return trainer.report

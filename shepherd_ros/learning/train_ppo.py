@@ -7,19 +7,18 @@ from dataclasses import dataclass
 import time
 from typing import Any
 
-from shepherd_ros.config import Config, ConfigError, option, part
+from shepherd_ros.config import Config, option, part
 from shepherd_ros.learning.annealing import (
     AnnealConfig,
     discount,
     stage_at,
     stages,
 )
-from shepherd_ros.learning.distributed import least, rank, ranks, total
+from shepherd_ros.learning.distributed import ranks, total
 from shepherd_ros.learning.ppo import PPOConfig, PPOLearner
 from shepherd_ros.learning.ppo_rollout import Rollout
 from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.task import TaskConfig
-from shepherd_ros.learning.validation import validate
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.rng import mixed_seeds
@@ -44,17 +43,17 @@ class PPORunConfig(Config):
     ppo: PPOConfig = part(PPOConfig)
 
 
-class Training:
+class PPOTrainer:
     """The policy, what it learns with, and the worlds of the present stage."""
 
     def __init__(self, policy: Policy, config: PPORunConfig) -> None:
         """Start in the first stage."""
-        self.policy, self.config = policy, config
+        self.policy, self.config, self.eval_freq = policy, config, config.eval_freq
         self.dtype = fast_dtype(policy.device)
         self.stages = stages(policy.config, config.anneal)
         self.learner = PPOLearner(policy, config.ppo)
         self.generator = torch.Generator('cpu').manual_seed(config.seed + 1)
-        self.progress = {'samples': 0, 'updates': 0, 'seconds': 0.0, 'world_steps': 0, 'stage': 0}
+        self.progress = {'samples': 0, 'updates': 0, 'world_steps': 0, 'stage': 0}
         self.enter(0)
 
     def enter(self, stage: int) -> None:
@@ -72,11 +71,20 @@ class Training:
             self.dtype,
         )
 
-    def round(self) -> dict[str, float]:
+    def share(self) -> float:
+        """Return which share of the samples is used up."""
+        return self.progress['samples'] / self.config.samples
+
+    def averaged(self) -> Policy:
+        """Return a policy with the running mean of the actor's weights."""
+        return self.learner.averaged()
+
+    def update(self, stopping: Callable[[], bool]) -> dict[str, float]:
         """Collect and learn once; return logged scalars."""
         config, repeat = self.config, self.policy.config.action_repeat
-        used = self.progress['samples'] / config.samples
-        stage = stage_at(used, len(self.stages), config.anneal)
+        used = self.share()
+        # a run that is given more samples does not go back to stages that it has left
+        stage = max(stage_at(used, len(self.stages), config.anneal), self.progress['stage'])
         if stage != self.progress['stage']:
             self.enter(stage)
             repeat = self.policy.config.action_repeat
@@ -123,46 +131,8 @@ def train_ppo(
     """
     Learn until the samples are used up; return the policy, whose weights change in place.
 
-    What is judged and kept is a running mean of the weights, which is steadier than the newest.
-    The run's folder holds the state after each evaluation, and training goes on from there with
-    the same numbers as if it had not been interrupted. The best checkpoint is beside it.
+    What is evaluated and kept is a running mean of the weights, which is steadier than the newest.
     """
-    training = Training(policy, config)
-    progress = training.progress
-    kept = run.load()
-    if kept is not None:
-        training.load_state_dict(kept)
-        progress = training.progress
-        run.best_score = kept['best_score']
-    check_together(int(progress['updates']), run)
-    while progress['samples'] < config.samples:
-        begun = time.monotonic()
-        line: dict[str, Any] = training.round()
-        last = progress['samples'] >= config.samples
-        due = last or progress['updates'] % config.eval_freq == 0
-        if due and rank() == 0:
-            kept_policy = training.learner.averaged()
-            results = validate(
-                kept_policy, config.task, config.eval_episodes, config.eval_steps, training.dtype
-            )
-        progress['seconds'] += time.monotonic() - begun
-        rate = progress['samples'] / progress['seconds']
-        left = max(config.samples - progress['samples'], 0) / rate
-        line = {**progress, 'samples_per_second': rate, 'seconds_left': left, **line}
-        if due:
-            if rank() == 0:
-                line |= run.keep_best(kept_policy, results, progress)
-            run.save(training.state_dict() | {'best_score': run.best_score})
-        if rank() == 0:
-            run.write(line)
-            on_line(line)
-    return training.policy
-
-
-def check_together(updates: int, run: RunFolder) -> None:
-    """Raise ConfigError unless all processes go on from the same update."""
-    if total(abs(updates - least(updates))) > 0:
-        raise ConfigError(
-            f'{run.folder} holds states of different updates, as it was cut off while they were '
-            'written, or by another number of processes: remove state*.pt to start anew'
-        )
+    trainer = PPOTrainer(policy, config)
+    run.train(trainer, on_line)
+    return trainer.policy

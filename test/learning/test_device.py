@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from shepherd_ros.learning.task import TaskConfig
-from shepherd_ros.learning.train_ppo import PPORunConfig, Training
+from shepherd_ros.learning.train_ppo import PPORunConfig, PPOTrainer
 from shepherd_ros.learning.validation import validate
 from shepherd_ros.policy import fast_conv
 from shepherd_ros.policy.network import NetworkConfig
@@ -34,13 +34,13 @@ def test_nothing_is_made_on_the_default_device(
         flock=flock, sheep_min=4, sheep_max=6, shepherds_max=2, episode_steps=4, noise_max=0.5
     )
     config = PPORunConfig(samples=500, groups=2, worlds=2, decisions=3, task=task)
-    training = Training(policy, config)
-    training.round()  # optimisers make their first tensors, which they move by themselves
+    training = PPOTrainer(policy, config)
+    training.update(bool)  # optimisers make their first tensors, which they move by themselves
     before = training.progress['stage']
     # a tensor of this device has no numbers and mixes with none of the CPU
     with torch.device('meta'):
         while training.progress['stage'] == before:
-            training.round()
+            training.update(bool)
         averaged = training.learner.averaged()
         results = validate(averaged, task, 2, 3, torch.float32)
     assert results['score'] == results['score'], 'no NaN'

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+import signal
 import subprocess
 import sys
 from typing import Any
 
 import pytest
+from shepherd_ros.cli import main
 from shepherd_ros.learning.distributed import rank, ranks
 from shepherd_ros.learning.ppo import PPOConfig, PPOLearner
 from shepherd_ros.learning.ppo_rollout import Batch
@@ -31,6 +33,11 @@ TINY = (
     '--samples 400 --eval-freq 3 --eval-episodes 2 --eval-steps 6 --sheep-min 3 '
     '--sheep-max 5 --shepherds-max 2 --episode-steps 48'
 )
+
+BIN = Path(sys.executable).parent
+LAUNCH = (BIN / 'torchrun', '--standalone', '--nproc-per-node', '2')
+SHEPHERD = BIN / 'shepherd'
+TIMES = ('seconds', 'seconds_left', 'samples_per_second', 'rollout_share')
 
 
 class Inputs:
@@ -76,8 +83,7 @@ def updated() -> dict[str, Tensor]:
 
 
 def torchrun(*words: object) -> subprocess.CompletedProcess[str]:
-    launch = [Path(sys.executable).parent / 'torchrun', '--standalone', '--nproc-per-node', '2']
-    command = [str(word) for word in (*launch, *words)]
+    command = [str(word) for word in (*LAUNCH, *words)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
@@ -95,15 +101,14 @@ def test_an_update_of_two_is_that_of_one_with_all_decisions(tmp_path: Path) -> N
 @pytest.fixture(scope='module')
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp('ranks') / 'run'
-    shepherd = Path(sys.executable).parent / 'shepherd'
-    done = torchrun('--no-python', shepherd, 'train', 'ppo', *TINY.split(), '--out', out)
+    done = torchrun('--no-python', SHEPHERD, 'train', 'ppo', *TINY.split(), '--out', out)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count('the best policy is in') == 1
     return out
 
 
 def test_two_have_the_same_weights_and_worlds_of_their_own(trained: Path) -> None:
-    states = [torch.load(trained / name, weights_only=True) for name in ('state.pt', 'state_1.pt')]
+    states = torch.load(trained / 'state.pt', weights_only=True)['ranks']
     one, other = (state['learner']['policy'] for state in states)
     assert all(torch.equal(one[name], other[name]) for name in one)
     seeds = [{int(s) for g in k['rollout']['groups'] for s in g['state']['seed']} for k in states]
@@ -114,15 +119,40 @@ def test_two_have_the_same_weights_and_worlds_of_their_own(trained: Path) -> Non
     assert curve[-1]['samples'] >= 400
 
 
-def test_states_of_another_number_of_processes_are_refused(trained: Path) -> None:
-    kept = (trained / 'state_1.pt').read_bytes()
-    (trained / 'state_1.pt').unlink()
-    shepherd = Path(sys.executable).parent / 'shepherd'
-    done = torchrun('--no-python', shepherd, 'train', 'ppo', *TINY.split(), '--out', trained)
-    (trained / 'state_1.pt').write_bytes(kept)
-    assert done.returncode != 0
-    assert 'holds states of different updates' in done.stderr
-    assert 'remove state*.pt to start anew' in done.stderr
+def test_a_run_of_two_that_is_ended_goes_on_as_if_it_had_not_been(
+    trained: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / 'run'
+    command = [*LAUNCH, '--no-python', SHEPHERD, 'train', 'ppo', *TINY.split(), '--out', out]
+    run = subprocess.Popen(
+        [str(word) for word in command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert run.stdout is not None
+    for _ in range(4):  # the first evaluation is over
+        run.stdout.readline()
+    run.send_signal(signal.SIGTERM)
+    run.communicate()
+    assert run.returncode != 0
+    assert len(torch.load(out / 'state.pt', weights_only=True)['ranks']) == 2
+    done = torchrun('--no-python', SHEPHERD, 'train', 'ppo', *TINY.split(), '--out', out)
+    assert done.returncode == 0, done.stderr
+    curves = [
+        [
+            {name: value for name, value in json.loads(line).items() if name not in TIMES}
+            for line in (folder / 'curve.jsonl').read_text().splitlines()
+        ]
+        for folder in (out, trained)
+    ]
+    assert curves[0] == curves[1]
+
+
+def test_a_state_of_another_number_of_processes_is_refused(
+    trained: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['train', 'ppo', *TINY.split(), '--out', str(trained)]) == 2
+    said = capsys.readouterr().err
+    assert '2 processes, expected 1' in said
+    assert 'remove it to start anew' in said
 
 
 if __name__ == '__main__':
