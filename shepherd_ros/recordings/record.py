@@ -33,6 +33,7 @@ from shepherd_ros.wire.topics import (
     EPISODE,
     GOAL,
     metric_topic,
+    row_of,
     scan_topic,
     SHEEP_POSES,
     SHEPHERD,
@@ -57,8 +58,7 @@ class EpisodeBag:
         self, topic: str, content: bytes, shepherd: int | None = None, namespace: str = ''
     ) -> None:
         """Write a message of a topic of the contract at the present time."""
-        topics, profiles = contract()
-        row = topics[topic]
+        row, profiles = row_of(topic), contract()[1]
         name = f'{namespace}/' + topic.format(h=shepherd).lstrip('/')
         self.writer.add_topic(name, row.type, [offered_qos(profiles[row.profile])])
         self.writer.write(name, content, self.now_ns, self.now_ns)

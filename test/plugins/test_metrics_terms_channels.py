@@ -11,21 +11,21 @@ import subprocess
 import sys
 
 from nodes.process import DEADLINE, Graph
+from plugins.verbs import run
 import pyarrow.parquet as parquet
 import pytest
 from shepherd_ros.config import ConfigError
 from shepherd_ros.policy.checkpoint import read_checkpoint_metadata
 from shepherd_ros.recordings.check import check_bag
 from shepherd_ros.recordings.episodes import iter_episodes
+from shepherd_ros.recordings.info import bag_info
 from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
-from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.reward import RewardConfig
 
 FOLDER = Path(__file__).parent
 FILES = ','.join(str(FOLDER / name) for name in ('near.py', 'path.py', 'posts.py'))
-SHEPHERD = Path(sys.executable).with_name('shepherd')
 STEPS = 12
 pytestmark = pytest.mark.xdist_group('plugins')  # one training and one bag for all
 ENVIRONMENT = """
@@ -87,34 +87,33 @@ def named() -> Iterator[None]:
         del os.environ['SHEPHERD_ROS_PLUGINS']
 
 
-def run(*words: str | Path, code: int = 0, plug: bool = True) -> str:
-    """Run a program with the plug-ins; return what it said."""
-    environment = os.environ | {'SHEPHERD_ROS_PLUGINS': FILES if plug else ''}
-    done = subprocess.run(
-        [str(word) for word in words], env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == code, done.stdout + done.stderr
-    return done.stdout + done.stderr
-
-
 @pytest.fixture(scope='module')
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a tiny run of PPO with all of them."""
+def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
+    """Return a tiny run of PPO with all of them, and what verbs say of its checkpoint."""
     out = tmp_path_factory.mktemp('ppo') / 'run'
-    run(
-        SHEPHERD, 'train', 'ppo', '--quick', '--out', out, '--path', '0.5', '--samples', '150',
-        '--policy.lidar.others', 'posts', '--groups', '1', '--worlds', '4', '--decisions', '4',
-        '--eval-episodes', '2', '--eval-steps', '20',
-    )  # fmt: skip
-    return out
+    best = out / 'best.safetensors'
+    said = run(
+        FILES,
+        f'train ppo --quick --out {out} --path 0.5 --samples 150 --policy.lidar.others posts '
+        '--groups 1 --worlds 4 --decisions 4 --eval-episodes 2 --eval-steps 20',
+        f'checkpoint info {best}',
+        f'checkpoint card {best}',
+        'evaluate table --quick --sheep 5 --shepherds 1 --controllers strombom '
+        f'policy:{best} --out {out / "rows"}',
+    )
+    return out, said[1:]
 
 
 def test_in_the_environment() -> None:
-    run(sys.executable, '-c', ENVIRONMENT)
+    environment = os.environ | {'SHEPHERD_ROS_PLUGINS': FILES}
+    command = [sys.executable, '-c', ENVIRONMENT]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
-def test_in_training(trained: Path) -> None:
-    lines = [json.loads(line) for line in (trained / 'curve.jsonl').read_text().splitlines()]
+def test_in_training(trained: tuple[Path, list[str]]) -> None:
+    out, (about, card, _) = trained
+    lines = [json.loads(line) for line in (out / 'curve.jsonl').read_text().splitlines()]
     for line in lines:
         terms = {name: value for name, value in line.items() if name.startswith('reward/')}
         assert list(terms) == ['reward/occupancy', 'reward/shaping', 'reward/path']
@@ -122,13 +121,11 @@ def test_in_training(trained: Path) -> None:
         assert terms['reward/path'] < 0
     assert 0 <= lines[-1]['eval/fraction_near'] <= 1
     assert 'eval/most_near' not in lines[-1]
-    about = json.loads((trained / 'run.json').read_text())['config']['run']['task']['reward']
-    assert about['path'] == 0.5
-    said = run(SHEPHERD, 'checkpoint', 'info', trained / 'best.safetensors')
-    assert '"others": "posts"' in said
+    reward = json.loads((out / 'run.json').read_text())['config']['run']['task']['reward']
+    assert reward['path'] == 0.5
+    assert '"others": "posts"' in about
     with pytest.raises(ConfigError, match="others is 'posts'"):
-        read_checkpoint_metadata(trained / 'best.safetensors')  # not without the plug-in
-    card = run(SHEPHERD, 'checkpoint', 'card', trained / 'best.safetensors')
+        read_checkpoint_metadata(out / 'best.safetensors')  # not without the plug-in
     assert 'channels sheep, shepherds, goal, posts,' in card
     assert '| reward.path | 0.5 |' in card
     assert '| fraction near | ' in card
@@ -143,35 +140,31 @@ def test_what_a_run_without_a_weight_says_is_as_before() -> None:
         LidarConfig(others='posts')
 
 
-def test_in_rows_and_tables(trained: Path, tmp_path: Path) -> None:
-    policy = f'policy:{trained / "best.safetensors"}'
-    run(
-        SHEPHERD, 'evaluate', 'table', '--quick', '--sheep', '5', '--shepherds', '1',
-        '--controllers', 'strombom', policy, '--out', tmp_path,
-    )  # fmt: skip
-    names = [set(parquet.read_schema(path).names) for path in tmp_path.rglob('*.parquet')]
+def test_in_rows_and_tables(trained: tuple[Path, list[str]]) -> None:
+    rows = trained[0] / 'rows'
+    names = [set(parquet.read_schema(path).names) for path in rows.rglob('*.parquet')]
     assert names
     assert all({'fraction_near', 'most_near'} <= columns for columns in names)
-    page = (tmp_path / 'table.md').read_text()
+    page = (rows / 'table.md').read_text()
     assert '| fraction near |' in page
     assert 'most near' not in page
 
 
 @pytest.fixture(scope='module')
-def recorded(shared_graph: Graph, tmp_path_factory: pytest.TempPathFactory, trained: Path) -> Path:
-    """Return a bag of a whole stack with the plug-ins, driven by the policy."""
-    return record(shared_graph, tmp_path_factory.mktemp('bag') / 'bag', trained)
-
-
-def record(graph: Graph, bag: Path, trained: Path) -> Path:
-    """Record an episode; lidar, policy, metrics and recorder have the plug-ins."""
+def recorded(
+    shared_graph: Graph,
+    tmp_path_factory: pytest.TempPathFactory,
+    trained: tuple[Path, list[str]],
+) -> Path:
+    """Return a bag of a stack in which lidar, policy, metrics and recorder have the plug-ins."""
+    graph, bag = shared_graph, tmp_path_factory.mktemp('bag') / 'bag'
     with named():
         recorder = graph.start_words('recorder', ['-o', str(bag)], fresh=True)
         graph.until_says(recorder, 'listening')
         rays = {'n_rays': 512, 'others': 'posts'}
         graph.start('lidar', fresh=True, shepherd_ids=[0, 1], **rays)
         graph.start('metrics', fresh=True)
-        checkpoint = str(trained / 'best.safetensors')
+        checkpoint = str(trained[0] / 'best.safetensors')
         graph.start('policy', fresh=True, shepherd_ids=[0, 1], checkpoint=checkpoint)
     graph.until_says(recorder, 'recording /metrics/most_near ')
     graph.until_says(recorder, 'recording /shepherd_1/scan/posts ')
@@ -182,7 +175,7 @@ def record(graph: Graph, bag: Path, trained: Path) -> Path:
     return bag
 
 
-def test_over_dds_and_in_bags(recorded: Path, tmp_path: Path) -> None:
+def test_over_dds_and_in_bags(recorded: Path) -> None:
     bag = open_bag(recorded)
     assert bag.topics['/metrics/most_near'].count > STEPS
     assert bag.topics['/shepherd_1/scan/posts'].count > STEPS
@@ -191,34 +184,37 @@ def test_over_dds_and_in_bags(recorded: Path, tmp_path: Path) -> None:
     (episode,) = iter_episodes(bag)
     assert episode.channels == (*PAPER_CHANNELS, 'posts')
     assert all(scan is not None and scan.shape == (4, 512) for scan in episode.frames[0].scans)
-    said = run(SHEPHERD, 'bag', 'info', recorded)
-    assert 'fraction near' in said
-    assert 'fraction near' not in run(SHEPHERD, 'bag', 'info', recorded, plug=False)
-    run(SHEPHERD, 'bag', 'export', recorded, '--output', tmp_path / 'tables')
-    assert 'posts' in parquet.read_schema(tmp_path / 'tables' / 'scans.parquet').names
-    run(SHEPHERD, 'bag', 'render', recorded, '--output', tmp_path / 'pictures')
+    assert 'fraction near' not in bag_info(bag).text()  # not without its plug-in
 
 
-def test_learning_from_bags_needs_the_channels_of_the_policy(
+def test_verbs_read_the_bag_and_learning_needs_the_channels_of_the_policy(
     recorded: Path, tmp_path: Path
 ) -> None:
-    words = (SHEPHERD, 'train', 'bc', recorded, '--quick', '--epochs', '1')
-    few = ('--eval-episodes', '2', '--eval-steps', '10')
-    said = run(*words, *few, '--out', tmp_path / 'three', code=2)
-    assert "scans have a channel 'posts', expected sheep, shepherds, goal" in said
-    posts = ('--policy.lidar.others', 'posts')
-    run(*words, *few, *posts, '--out', tmp_path / 'four')
+    few = '--quick --epochs 1 --eval-episodes 2 --eval-steps 10'
+    posts = '--policy.lidar.others posts'
     built = tmp_path / 'built'
-    run(SHEPHERD, 'dataset', 'build', recorded, '--out', built)
-    assert json.loads((built / 'meta/info.json').read_text())['features']['observation.lidar'][
-        'shape'
-    ] == [4, 512]
-    run(*words[:3], built, *words[4:], *few, *posts, '--out', tmp_path / 'again')
+    info, _, _, refused, *_ = run(
+        FILES,
+        f'bag info {recorded}',
+        f'bag export {recorded} --output {tmp_path / "tables"}',
+        f'bag render {recorded} --output {tmp_path / "pictures"}',
+        f'!train bc {recorded} {few} --out {tmp_path / "three"}',
+        f'train bc {recorded} {few} {posts} --out {tmp_path / "four"}',
+        f'dataset build {recorded} --out {built}',
+        f'train bc {built} {few} {posts} --out {tmp_path / "again"}',
+    )
+    assert 'fraction near' in info
+    assert 'posts' in parquet.read_schema(tmp_path / 'tables' / 'scans.parquet').names
+    assert "scans have a channel 'posts', expected sheep, shepherds, goal" in refused
+    features = json.loads((built / 'meta/info.json').read_text())['features']
+    assert features['observation.lidar']['shape'] == [4, 512]
 
 
-def test_a_policy_names_the_channel_that_no_lidar_has(graph: Graph, trained: Path) -> None:
+def test_a_policy_names_the_channel_that_no_lidar_has(
+    graph: Graph, trained: tuple[Path, list[str]]
+) -> None:
     with named():
-        checkpoint = str(trained / 'best.safetensors')
+        checkpoint = str(trained[0] / 'best.safetensors')
         policy = graph.start('policy', fresh=True, checkpoint=checkpoint)
     graph.start('lidar')
     graph.start('flock_sim', n_sheep=5, n_shepherds=1)
@@ -228,12 +224,3 @@ def test_a_policy_names_the_channel_that_no_lidar_has(graph: Graph, trained: Pat
         lambda: 'shepherd_0/scan/posts' in graph.status('policy: policy').message,
         lambda: f'a refusal; it last said {status}',
     )
-
-
-def test_metrics_of_the_demo(tmp_path: Path) -> None:
-    said = run(
-        SHEPHERD, 'demo', '--controller', 'strombom', '--sheep', '5', '--shepherds', '1',
-        '--steps', '10', '--animation', 'none', '--out', tmp_path,
-    )  # fmt: skip
-    assert 'fraction_near' in said
-    assert 'fraction_near' not in METRICS  # this process has no plug-in
