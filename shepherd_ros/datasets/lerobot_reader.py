@@ -9,7 +9,7 @@ from functools import cached_property
 from itertools import pairwise
 import json
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
@@ -35,7 +35,6 @@ LARGEST_NOTE = 16 << 20  # [bytes] of a JSON file
 LARGEST_RUNS = 1_000_000
 LARGEST_FILE = 4 << 30  # [bytes] of Parquet
 LARGEST_RAYS = 65_536
-SIDES: tuple[Literal['left', 'right'], ...] = ('left', 'right')
 LIMITS = {  # lowest and highest number in columns of meta/episodes
     'length': (1, MAX_STEPS), 'data/chunk_index': (0, 10**6), 'data/file_index': (0, 999),
     'bag_index': (0, LARGEST_RUNS), 'recorded_episode': (0, 2**62),
@@ -112,25 +111,19 @@ class Dataset:
         number = self.files[chosen.start]
         chunk, file = divmod(int(number), FILES_PER_CHUNK)
         path = self.folder / DATA.format(chunk_index=chunk, file_index=file)
-        begin, end = (int(np.searchsorted(self.files, number, side)) for side in SIDES)
+        begin = int(np.searchsorted(self.files, number))
         with _open(path) as source:
-            if source.metadata.num_row_groups != end - begin:
-                what = f'{source.metadata.num_row_groups} row groups, expected {end - begin}'
-                raise BagError(path, what, REBUILD)
             for k in chosen:
                 yield self._run(source, path, k, k - begin)
 
     def _run(self, source: Any, path: Path, k: int, place: int) -> tuple[np.ndarray, np.ndarray]:
         """Return scans and actions of a run, which is a row group."""
         count = int(self.runs['length'][k])
-        if source.metadata.row_group(place).num_rows != count:
-            what = f'row group {place} has not the {count} rows that {EPISODES} tells of'
-            raise BagError(path, what, REBUILD)
         names = [LIDAR, ACTION, 'episode_index', 'frame_index']
         table = source.read_row_group(place, names, use_threads=False)
-        lidar = _floats(table[LIDAR], (count, *self.layout.shape), path)
-        action = _floats(table[ACTION], (count, 2), path)
-        numbers = [_numbers(table[name], path) for name in names[2:]]
+        lidar = _array(table[LIDAR], pa.float32(), (count, *self.layout.shape))
+        action = _array(table[ACTION], pa.float32(), (count, 2))
+        numbers = [_array(table[name], pa.int64(), (count,)) for name in names[2:]]
         if np.isnan(lidar).any() or not np.isfinite(action).all():
             what = f'row group {place} has NaN, or an action that is not finite'
             raise BagError(path, what, REBUILD)
@@ -143,22 +136,18 @@ def open_dataset(folder: Path) -> Dataset:
     """Return the data set in a folder; raises BagError."""
     about = _about(folder)
     path = folder / EPISODES
-    with _open(path, ('bag',)) as source:
+    with _open(path) as source:
         if source.metadata.num_rows > LARGEST_RUNS:
             raise BagError(path, f'it has more than {LARGEST_RUNS} rows', REBUILD)
         table = source.read([*NUMBERS, 'bag'], use_threads=False)
-        runs = {name: _numbers(table[name], path) for name in NUMBERS}
-        names = table['bag'].combine_chunks()
-        if not isinstance(names, pa.DictionaryArray) or names.null_count:
-            raise BagError(path, 'column bag is no text', REBUILD)
-        known = [str(name) for name in names.dictionary.to_pylist()]
-        bags = [known[k] for k in names.indices.to_pylist()]
+        count = np.arange(len(table))
+        runs = {name: _array(table[name], pa.int64(), count.shape) for name in NUMBERS}
+        bags = [str(name) for name in table['bag'].to_pylist()]
     for name, (low, high) in LIMITS.items():
         odd = (runs[name] < low) | (runs[name] > high)
         if odd.any():
             value = runs[name][odd][0]
             raise BagError(path, f'{name} is {value}, expected {low} to {high}', REBUILD)
-    count = np.arange(len(bags))
     ends = np.cumsum(runs['length'])
     found = Dataset(folder, about['dt'], about['layout'], about['labels'], runs, bags)
     if not (
@@ -196,7 +185,7 @@ def _about(folder: Path) -> dict[str, Any]:
 
 
 @contextmanager
-def _open(path: Path, texts: tuple[str, ...] = ()) -> Iterator[Any]:
+def _open(path: Path) -> Iterator[Any]:
     """Lend a Parquet file; whatever Arrow says of it becomes a BagError."""
     if not path.is_file():
         raise BagError(path, 'it is not there', REBUILD)
@@ -205,7 +194,6 @@ def _open(path: Path, texts: tuple[str, ...] = ()) -> Iterator[Any]:
             raise BagError(path, f'it has more than {LARGEST_FILE} bytes', REBUILD)
         with parquet.ParquetFile(
             path,
-            read_dictionary=list(texts),
             pre_buffer=False,
             page_checksum_verification=True,
             thrift_string_size_limit=1 << 20,
@@ -218,28 +206,14 @@ def _open(path: Path, texts: tuple[str, ...] = ()) -> Iterator[Any]:
         raise BagError(path, f'it cannot be read ({str(error)[:200]!r})', REBUILD) from error
 
 
-def _floats(column: Any, shape: tuple[int, ...], path: Path) -> np.ndarray:
-    """Return nested lists of floats as an array of a shape; raises BagError."""
-    values = column.combine_chunks()
-    for size in shape[1:]:
-        nested = pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type)
-        if not nested or values.null_count:
-            raise BagError(path, f'a column of type {values.type} for {shape}', REBUILD)
-        lengths = np.diff(np.asarray(values.offsets)) if pa.types.is_list(values.type) else None
-        if lengths is not None and (lengths != size).any():
-            raise BagError(path, f'lists that are not of {size} numbers', REBUILD)
+def _array(column: Any, kind: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """Return a column of nested lists as an array; whatever does not fit, pyarrow refuses."""
+    for size in reversed(shape[1:]):
+        kind = pa.list_(kind, size)
+    values = column.combine_chunks().cast(kind)
+    for _ in shape[1:]:
         values = values.flatten()
-    if values.type != pa.float32() or values.null_count or len(values) != np.prod(shape):
-        what = f'{len(values)} numbers of type {values.type}, expected floats of shape {shape}'
-        raise BagError(path, what, REBUILD)
-    return values.to_numpy(zero_copy_only=False).reshape(shape)
-
-
-def _numbers(column: Any, path: Path) -> np.ndarray:
-    """Return a column of whole numbers (n,); raises BagError."""
-    if column.type != pa.int64() or column.null_count:
-        raise BagError(path, f'a column of type {column.type} or with holes', REBUILD)
-    return column.to_numpy()
+    return values.to_numpy().reshape(shape)
 
 
 def _parts(values: np.ndarray) -> Iterator[slice]:
