@@ -93,16 +93,29 @@ class Losses:
         self.publishers = publishers
         self.topics: defaultdict[str, SequenceNumbers] = defaultdict(SequenceNumbers)
         self.drops: Counter[str] = Counter()
+        self.repeats: Counter[str] = Counter()  # of what was lost: the same is in the bag
+        self.stamps: dict[str, int] = {}  # [ns] of the last message
 
-    def heard(self, topic: str, number: int | None) -> int:
+    def heard(
+        self, topic: str, number: int | None, stamp_ns: int | None = None, dt_ns: int = 0
+    ) -> int:
         """
         Return what tells the publisher of a message from the others of its topic.
 
-        number is that of the message at its publisher; None if the middleware has none.
+        number is that of the message at its publisher; None if the middleware has none. What is
+        lost between two stamps at most dt apart was one of them, as a state is shown again.
         """
+        last = self.stamps.get(topic)
+        if stamp_ns is not None:
+            self.stamps[topic] = stamp_ns
         if number is None:
             return 0
-        return id(self.topics[topic].take(number, lambda: self.publishers(topic)))
+        numbers = self.topics[topic]
+        missing = numbers.missing
+        run = numbers.take(number, lambda: self.publishers(topic))
+        if last is not None and stamp_ns is not None and len(numbers.runs) == 1:
+            self.repeats[topic] += (numbers.missing - missing) * (0 <= stamp_ns - last <= dt_ns)
+        return id(run)
 
     def dropped(self, topic: str, count: int) -> None:
         """Count messages that DDS reports lost."""
@@ -113,9 +126,10 @@ class Losses:
         self.dropped(topic, event.total_count_change)
 
     def by_topic(self) -> Counter[str]:
-        """Return how many are known to be lost; both ways to count may mean the same ones."""
+        """Return how many are known to be lost, but for repeats; both ways may count the same."""
         names = {*self.topics, *self.drops}
-        return +Counter({n: max(self.topics[n].missing, self.drops[n]) for n in sorted(names)})
+        lost = {n: max(self.topics[n].missing, self.drops[n]) for n in sorted(names)}
+        return Counter(lost) - self.repeats
 
     def earlier(self) -> Counter[str]:
         """Return how many were sent before the first one heard: before the two ends met."""
@@ -127,5 +141,7 @@ class Losses:
         return [
             f'{name}: {self.topics[name].missing} missing in the numbering, {self.drops[name]} '
             'reported by DDS'
+            + f', {self.repeats[name]} of them repeats'
+            * bool(self.repeats[name])
             for name in self.by_topic()
         ]

@@ -16,8 +16,8 @@ from shepherd_ros.nodes.recorder_subscriptions import DEPTH, RecorderSubscriptio
 from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.rosbag2.errors import BagError
-from shepherd_ros.wire.contract import known
-from shepherd_ros.wire.decode import CdrError, decode_clock, decode_string
+from shepherd_ros.wire.contract import known, KnownTopic
+from shepherd_ros.wire.decode import CdrError, decode_clock, decode_stamp, decode_string
 from shepherd_ros.wire.episode import Episode
 from shepherd_ros.wire.topics import CLOCK, EPISODE, GOAL
 from std_srvs.srv import Trigger
@@ -29,6 +29,8 @@ RECORDER_ACK_TIMEOUT = (
     4.0  # [s] for others to hear of a failure: DDS asks for what is missed every 3 s
 )
 EPISODE_WAIT = 0.5  # [s] for the last messages of an episode when the next one has begun
+REPEATED = ('state', 'sensor', 'command', 'clock')  # profiles of what comes with a state shown
+USER = ('user',)
 EXIT_LOSSY = 1  # exit code of a bag that is not whole
 
 
@@ -59,6 +61,7 @@ class Recorder(ShepherdNode):
         self.begun = False  # whether the bag that is open tells of an episode
         self.failure = ''
         self.clock_ns: int | None = None
+        self.dt_ns = 0  # between two states
         self.early: list[Row] = []  # what came before the simulated clock
         self.rate_of = (self.wall(), 0)  # when and how many messages at the last report
         wait = EPISODE_WAIT if options.per_episode else 0.0
@@ -89,8 +92,9 @@ class Recorder(ShepherdNode):
 
     def receive(self, name: str, raw: bytes, info: dict[str, int]) -> None:
         """Take a message of a topic with its times and its number."""
-        sender = self.losses.heard(name, info.get('publication_sequence_number'))
         ours = known(name)
+        number = info.get('publication_sequence_number')
+        sender = self.losses.heard(name, number, self._stamp(name, ours, raw), self.dt_ns)
         if ours is not None and ours.topic.name == EPISODE:
             self._next_episode(ours.namespace, raw)
         if name == CLOCK:
@@ -103,6 +107,15 @@ class Recorder(ShepherdNode):
             self.bags.latch(name, sender, raw)
         if self.recording and self.wanted(name):
             self._record(name, raw, info)
+
+    def _stamp(self, name: str, ours: KnownTopic | None, raw: bytes) -> int | None:
+        """Return the stamp [ns] of a message that is the same whenever it comes again."""
+        if ours is None or ours.topic.profile not in REPEATED or ours.topic.publisher == USER:
+            return None
+        with suppress(CdrError):
+            if self.intake.inputs[name].kind == ours.topic.type:
+                return decode_stamp(raw)
+        return None
 
     def _record(self, name: str, raw: bytes, info: dict[str, int]) -> None:
         """Write a message; with simulated time it waits for the first of the clock."""
@@ -124,7 +137,9 @@ class Recorder(ShepherdNode):
     def _next_episode(self, namespace: str, raw: bytes) -> None:
         """Expect the topics of an episode; begin its bag if each has its own."""
         with suppress(ValueError):
-            self.intake.expect(namespace, Episode.from_json(decode_string(raw)).n_shepherds)
+            episode = Episode.from_json(decode_string(raw))
+            self.dt_ns = episode.dt_ns
+            self.intake.expect(namespace, episode.n_shepherds)
         told = self.bags.latched[f'{namespace}/{EPISODE}'].values()
         again = raw in told  # to those who were silent
         if self.recording and self.options.per_episode and not (again and self.begun):

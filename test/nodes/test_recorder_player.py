@@ -620,6 +620,29 @@ def test_what_was_sent_before_the_first_one_heard_is_no_loss_but_told() -> None:
     assert (losses.by_topic(), losses.earlier()) == ({}, {'/a': 3})
 
 
+@pytest.mark.parametrize(
+    ('stamps', 'lost'),
+    [
+        ([(1, 10), (2, 20), (5, 20)], 0),  # three more of the same
+        ([(1, 10), (4, 20)], 0),  # some of this one, some of the next
+        ([(1, 10), (3, 30)], 1),  # a state is missing
+        ([(1, 10), (3, 5)], 1),  # another world
+        ([(1, 10), (3, None)], 1),
+        ([(1, None), (3, 10)], 1),
+    ],
+)
+def test_a_loss_that_only_repeats_what_is_there_leaves_a_bag_whole(
+    stamps: list[tuple[int, int | None]], lost: int
+) -> None:
+    losses = Losses(lambda topic: {b'one'})
+    for number, stamp_ns in stamps:
+        losses.heard('/flock/poses', number, stamp_ns, dt_ns=10)
+    assert losses.by_topic().total() == lost
+    losses.dropped('/flock/poses', stamps[-1][0] - len(stamps))
+    assert losses.by_topic().total() == lost  # DDS means the same ones
+    assert len(losses.report()) == lost
+
+
 def test_losses_are_told_by_topic() -> None:
     losses = Losses(lambda topic: {b'one'})
     for number in (1, 2, 5, None):
