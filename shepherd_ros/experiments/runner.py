@@ -35,14 +35,3 @@ def run_episodes(
         total += moment.reward
         on_step(step + 1)
     return {name: v.cpu() for name, v in (moment.metrics() | {'return': total}).items()}
-
-
-def mean_and_interval(values: Tensor) -> tuple[float, float]:
-    """Return mean and half the 95 % interval of (E,) values; NaN for a single one."""
-    values = values.double()
-    half = (
-        1.96 * values.std() / values.shape[0] ** 0.5
-        if len(values) > 1
-        else torch.tensor(torch.nan)
-    )
-    return float(values.mean()), float(half)

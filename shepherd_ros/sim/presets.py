@@ -115,9 +115,3 @@ def home_world(world: WorldConfig) -> WorldConfig:
         position_std=3.0,
     )
     return replace(world, spawn=spawn)
-
-
-def evaluation_world(world: WorldConfig) -> WorldConfig:
-    """Return a world that starts as in evaluation: a goal of 4 m, a team of fixed size."""
-    spawn = replace(world.spawn, goal_radius_extra=0.0, fewest_shepherds=0)
-    return replace(world, goal_radius=4.0, spawn=spawn)

@@ -9,7 +9,6 @@ import json
 import re
 from typing import Any
 
-from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 from shepherd_ros.wire.schemas import installed_text, nested_text, schema_text, wire_types
 from shepherd_ros.wire.topics import contract, families, member, Topic, topic_pattern
 
@@ -109,6 +108,8 @@ def known_text(type_name: str) -> bytes:
 @cache
 def text_hash(type_name: str, text: str) -> str:
     """Return the hash of a type as ROS 2 computes it, RIHS01_ and SHA-256; '' for no such text."""
+    from rosbags.typesys import get_types_from_msg, get_typestore, Stores  # 20 modules: late
+
     store = get_typestore(Stores.EMPTY)
     name = type_name.replace('/srv/', '/msg/')  # rosbags knows no parts of services
     try:

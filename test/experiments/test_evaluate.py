@@ -19,7 +19,7 @@ from shepherd_ros.experiments.catalog import EXPERIMENTS, experiments
 from shepherd_ros.experiments.cells import Cell, run_cell
 from shepherd_ros.experiments.methods import checkpoint_hash, full_name, make_method
 from shepherd_ros.experiments.results import read_results
-from shepherd_ros.experiments.runner import mean_and_interval, run_episodes
+from shepherd_ros.experiments.runner import run_episodes
 from shepherd_ros.experiments.setting import describe_setting, env_config, Setting, settled
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
@@ -80,13 +80,6 @@ def test_an_episode_is_the_same_alone_and_among_others() -> None:
         alone = run_episodes(config, controller, 5 + k, 1)
         for name, values in together.items():
             torch.testing.assert_close(alone[name][0], values[k], atol=1e-5, rtol=1e-5)
-
-
-def test_mean_and_interval_by_hand() -> None:
-    mean, half = mean_and_interval(torch.tensor([1.0, 2.0, 3.0, 4.0]))
-    assert mean == 2.5
-    assert half == pytest.approx(1.96 * (5 / 3) ** 0.5 / 2)
-    assert mean_and_interval(torch.tensor([2.0]))[1] != mean_and_interval(torch.tensor([2.0]))[1]
 
 
 # ---- settings and cells ----

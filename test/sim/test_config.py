@@ -20,7 +20,7 @@ from shepherd_ros.sim.flocking.strombom_flock import StrombomFlock
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.limits import MAX_SHEEP, MAX_SHEPHERDS
 from shepherd_ros.sim.observation import ObservationConfig
-from shepherd_ros.sim.presets import evaluation_world, PRESETS, training_world, world_preset
+from shepherd_ros.sim.presets import PRESETS, training_world, world_preset
 from shepherd_ros.sim.reward import RewardConfig
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import SpawnConfig, WorldConfig
@@ -317,15 +317,15 @@ def test_the_default_world_is_that_of_the_paper() -> None:
     assert (LidarConfig().n_rays, LidarConfig().range_max) == (512, 75.0)
 
 
-def test_training_and_evaluation_worlds_differ_in_goal_and_team() -> None:
+def test_training_worlds_differ_in_goal_and_team() -> None:
     world = world_preset('fine_dt', 'reynolds')
-    training, evaluation = training_world(world), evaluation_world(training_world(world))
+    training = training_world(world)
     assert (training.n_sheep, training.n_shepherds, training.spawn.fewest_shepherds) == (100, 6, 1)
     assert (training.goal_radius, training.spawn.goal_radius_extra) == (4.0, 4.0)
-    assert (evaluation.goal_radius, evaluation.spawn.goal_radius_extra) == (4.0, 0.0)
-    assert evaluation.spawn.fewest_shepherds == 0
-    assert training.dt == evaluation.dt == 0.1
-    assert training.flock == evaluation.flock == world.flock
+    assert (world.goal_radius, world.spawn.goal_radius_extra) == (4.0, 0.0)
+    assert world.spawn.fewest_shepherds == 0
+    assert training.dt == world.dt == 0.1
+    assert training.flock == world.flock
 
 
 def test_unknown_presets_flocks_and_controllers_are_refused_with_the_nearest_name() -> None:
