@@ -35,11 +35,11 @@ class Controller:
         self.config = config
         self.world = world
 
-    def begin(self, seen: WorldState) -> Memory:
+    def begin(self, state: WorldState) -> Memory:
         """Return the memory at the first state of an episode."""
         return {}
 
-    def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
+    def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return commands (..., H, 2) m/s, world frame, at most the top speed; and memory."""
         raise NotImplementedError
 
@@ -64,8 +64,8 @@ def places_on_arc(around: Tensor, spacing: Tensor, mask: Tensor) -> Tensor:
     count = mask.sum(dim=-1, keepdim=True).clamp(min=1)  # (..., 1)
     shifted = (rank[..., None, :] + index[:, None]) % count[..., None]  # (..., shift, H)
     place = (shifted - (count[..., None] - 1) / 2) * spacing[..., None]
-    way = wrap(place - around[..., None, :]).abs() * mask[..., None, :]
+    turn = wrap(place - around[..., None, :]).abs() * mask[..., None, :]
     # shifts that differ by rounding only are the same: the first of them counts
-    total = (way.sum(dim=-1) * 1e4).round()
+    total = (turn.sum(dim=-1) * 1e4).round()
     best = total.argmin(dim=-1)[..., None, None].expand(*rank.shape[:-1], 1, size)
     return place.gather(-2, best)[..., 0, :]

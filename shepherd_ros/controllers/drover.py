@@ -22,11 +22,11 @@ from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.controllers.controller import Controller, CONTROLLERS, Memory
 from shepherd_ros.controllers.formation import (
     bearings_in_order,
+    detour,
     Formation,
     FULL_TURN,
     middle_of_ring,
-    way_apart,
-    way_round,
+    separation,
 )
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, masked_mean, wrap
@@ -104,9 +104,9 @@ WIDE_RING = Ring(0.45, 2)  # about sheep that rest when nobody is near
 NARROW_RING = Ring(-0.15, 3)  # about sheep that never rest
 
 
-def share_inside(seen: WorldState) -> Tensor:
+def share_inside(state: WorldState) -> Tensor:
     """Return the share of the flock in the goal, (..., 1)."""
-    return (seen.inside.sum(dim=-1) / seen.flock_size)[..., None]
+    return (state.inside.sum(dim=-1) / state.flock_size)[..., None]
 
 
 @CONTROLLERS.add
@@ -130,52 +130,52 @@ class DroverController(Controller):
         self.pace = 1.0 if self.restless else config.ring_speed
         self.reach, self.least = config.ring_reach or ring.reach, ring.least
 
-    def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
+    def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return commands (..., H, 2) m/s and memory."""
-        goal, center = seen.goal[..., None, :], seen.center[..., None, :]  # (..., 1, 2) m
+        goal, center = state.goal[..., None, :], state.center[..., None, :]  # (..., 1, 2) m
         behind = bearing(center - goal)  # (..., 1) rad
         away = torch.linalg.vector_norm(center - goal, dim=-1)
-        squared = (seen.sheep - center).square().sum(dim=-1)  # (..., N) m2
-        far = EDGE_OVER_RMS * masked_mean(squared[..., None], seen.sheep_mask).sqrt()
-        few = seen.team_size[..., None] < self.least
+        squared = (state.sheep - center).square().sum(dim=-1)  # (..., N) m2
+        far = EDGE_OVER_RMS * masked_mean(squared[..., None], state.sheep_mask).sqrt()
+        few = state.team_size[..., None] < self.least
         clear = far + self.config.standoff
 
-        formation = self._arc_or_ring(seen, behind, away, clear)
+        formation = self._arc_or_ring(state, behind, away, clear)
         if self.restless:
-            near = away < self.config.touch_distance * seen.goal_radius[..., None]
-            formation = self._touch(seen, behind, away, far).where(few & near, formation)
+            near = away < self.config.touch_distance * state.goal_radius[..., None]
+            formation = self._touch(state, behind, away, far).where(few & near, formation)
         else:
-            inside = share_inside(seen) >= self.config.lone_share
-            formation = self._alone(seen, formation).where(few & inside, formation)
+            inside = share_inside(state) >= self.config.lone_share
+            formation = self._alone(state, formation).where(few & inside, formation)
 
-        place = formation.places(seen)
+        place = formation.places(state)
         target = formation.about + formation.distance[..., None] * from_bearing(place)
         gain, speed = self.config.gain, self.world.shepherd_speed
-        along = formation.way_along(seen, place, gain)
-        way = torch.where(
-            formation.along[..., None], along, way_round(seen, target, center, clear)
+        along = formation.displacement_along(state, place, gain)
+        displacement = torch.where(
+            formation.along[..., None], along, detour(state, target, center, clear)
         )
-        aside = way_apart(seen, self.config.separation) * speed
-        return clip_norm(clip_norm(way * gain, speed) + aside, speed), memory
+        aside = separation(state, self.config.separation) * speed
+        return clip_norm(clip_norm(displacement * gain, speed) + aside, speed), memory
 
     def _arc_or_ring(
-        self, seen: WorldState, behind: Tensor, away: Tensor, clear: Tensor
+        self, state: WorldState, behind: Tensor, away: Tensor, clear: Tensor
     ) -> Formation:
         """Return the arc behind the flock, the ring about the goal, or what is between them."""
-        config, goal = self.config, seen.goal[..., None, :]
-        radius, team = seen.goal_radius[..., None], seen.team_size[..., None]
-        angle = bearing(seen.shepherds - goal)
+        config, goal = self.config, state.goal[..., None, :]
+        radius, team = state.goal_radius[..., None], state.team_size[..., None]
+        angle = bearing(state.shepherds - goal)
         if self.restless:  # in haste
-            gap = bearings_in_order(angle, seen.shepherd_mask)[1].amax(dim=-1, keepdim=True)
+            gap = bearings_in_order(angle, state.shepherd_mask)[1].amax(dim=-1, keepdim=True)
             least = torch.where(gap < CLOSED_GAP, config.reopen_share, config.close_share)
-            arc = (share_inside(seen) < least).to(away.dtype)
+            arc = (share_inside(state) < least).to(away.dtype)
         else:
             arc = away / radius - config.open_until
             arc = (arc / (config.open_from - config.open_until)).clamp(0.0, 1.0)
         arc = torch.where(team < self.least, 1.0, arc)
         part = FULL_TURN / team
         # a ring is where the team is; all turns by a part give the same places
-        turn = middle_of_ring(angle, seen.shepherd_mask)[..., None] - behind
+        turn = middle_of_ring(angle, state.shepherd_mask)[..., None] - behind
         turn = torch.remainder(turn + part / 2, part) - part / 2
         driving = (away + clear).clamp(min=self.notice)
         ring = self.notice + self.reach * radius
@@ -189,13 +189,13 @@ class DroverController(Controller):
             even=arc == 0,
         )
 
-    def _alone(self, seen: WorldState, formation: Formation) -> Formation:
+    def _alone(self, state: WorldState, formation: Formation) -> Formation:
         """Return where a lone shepherd faces the nearest stray, with most of them inside."""
-        goal, radius = seen.goal[..., None, :], seen.goal_radius[..., None]
-        own = bearing(masked_mean(seen.shepherds, seen.shepherd_mask)[..., None, :] - goal)
-        gap = torch.where(seen.sheep_mask, seen.gap, -torch.inf)  # (..., N) m
+        goal, radius = state.goal[..., None, :], state.goal_radius[..., None]
+        own = bearing(masked_mean(state.shepherds, state.shepherd_mask)[..., None, :] - goal)
+        gap = torch.where(state.sheep_mask, state.gap, -torch.inf)  # (..., N) m
         outside = gap > self.config.stray_distance
-        stray = bearing(seen.sheep - goal)  # (..., N)
+        stray = bearing(state.sheep - goal)  # (..., N)
         off = torch.where(outside, wrap(stray - own).abs(), torch.inf)
         least, nearest = off.min(dim=-1, keepdim=True)
         there = torch.where(least < torch.inf, stray.gather(-1, nearest), own)
@@ -209,13 +209,13 @@ class DroverController(Controller):
             even=torch.zeros_like(formation.even),
         )
 
-    def _touch(self, seen: WorldState, behind: Tensor, away: Tensor, far: Tensor) -> Formation:
+    def _touch(self, state: WorldState, behind: Tensor, away: Tensor, far: Tensor) -> Formation:
         """Return where to touch the rim of a flock, to turn it on its way over the goal."""
-        heading = bearing(masked_mean(seen.heading, seen.sheep_mask))[..., None]
+        heading = bearing(masked_mean(state.heading, state.sheep_mask))[..., None]
         side = torch.where(torch.sin(heading - behind) >= 0, 1.0, -1.0)
-        crossing = (1 - away / (TURN_DISTANCE * seen.goal_radius[..., None])).clamp(min=0.0)
+        crossing = (1 - away / (TURN_DISTANCE * state.goal_radius[..., None])).clamp(min=0.0)
         return Formation(
-            about=seen.center[..., None, :],
+            about=state.center[..., None, :],
             distance=far + self.notice - self.config.touch_depth,
             middle=behind - side * self.config.touch_angle * crossing,
             spacing=torch.full_like(away, self.config.touch_spacing),

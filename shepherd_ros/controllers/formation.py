@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 
 FULL_TURN = 2 * math.pi  # [rad]
-FULL_SPEED = 10.0  # [m] a way so long is gone at the top speed
-NEARLY_ON_CIRCLE = 0.5  # [m] so near a circle, or half a smaller one, the way along it begins
-PASSING_ANGLE = math.pi / 4  # [rad] from the way straight apart to that past each other
+FULL_SPEED = 10.0  # [m] displacements so long are driven at the top speed
+NEARLY_ON_CIRCLE = 0.5  # [m] so near a circle, or half a smaller one, the path along it begins
+PASSING_ANGLE = math.pi / 4  # [rad] from straight apart to past each other
 
 
 def bearings_in_order(angle: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
@@ -70,8 +70,8 @@ class Formation:
     distance: Tensor  # its radius [m]
     middle: Tensor  # bearing of the middle of the places [rad]
     spacing: Tensor  # between them [rad]
-    along: Tensor  # whether the way to them is along the circle, else round the flock
-    pace: Tensor  # top speed on that way [m/s]
+    along: Tensor  # whether shepherds go along the circle, else round the flock
+    pace: Tensor  # top speed on that path [m/s]
     even: Tensor  # whether each is midway between its neighbours, wherever the middle is
 
     def where(self, mask: Tensor, other: Formation) -> Formation:
@@ -80,35 +80,35 @@ class Formation:
         about = torch.where(mask[..., None], *pairs.pop('about'))
         return Formation(about, **{name: torch.where(mask, *pair) for name, pair in pairs.items()})
 
-    def places(self, seen: WorldState) -> Tensor:
+    def places(self, state: WorldState) -> Tensor:
         """Return a bearing for each shepherd, (..., H) rad."""
-        angle = bearing(seen.shepherds - self.about)
+        angle = bearing(state.shepherds - self.about)
         around = wrap(angle - self.middle)
-        place = self.middle + places_on_arc(around, self.spacing, seen.shepherd_mask)
-        return torch.where(self.even, midway(angle, seen.shepherd_mask), place)
+        place = self.middle + places_on_arc(around, self.spacing, state.shepherd_mask)
+        return torch.where(self.even, midway(angle, state.shepherd_mask), place)
 
-    def way_along(self, seen: WorldState, place: Tensor, gain: float) -> Tensor:
-        """Return the way to bearings (..., H) rad, along the circle; (..., H, 2) m."""
-        out, stand = seen.shepherds - self.about, self.distance
+    def displacement_along(self, state: WorldState, place: Tensor, gain: float) -> Tensor:
+        """Return displacements to bearings (..., H) rad, along the circle; (..., H, 2) m."""
+        out, stand = state.shepherds - self.about, self.distance
         distance = torch.linalg.vector_norm(out, dim=-1)
         angle = bearing(out)
-        step = self.pace / gain  # [m] the way that is gone at that pace
+        step = self.pace / gain  # [m] driven in a time constant of the gain
         nearer = (stand - distance).clamp(-step, step)
         near = torch.full_like(stand, NEARLY_ON_CIRCLE)
         outside = distance + nearer >= stand - torch.minimum(stand / 2, near)
         turn = wrap(place - angle).clamp(-step / stand, step / stand)
         turn = torch.where(outside, turn, 0.0)
         there = self.about + (distance + nearer)[..., None] * from_bearing(angle + turn)
-        return there - seen.shepherds
+        return there - state.shepherds
 
 
-def way_round(seen: WorldState, target: Tensor, center: Tensor, clear: Tensor) -> Tensor:
-    """Return the way to take to a target, (..., H, 2) m, not through the flock."""
-    from_center = seen.shepherds - center
+def detour(state: WorldState, target: Tensor, center: Tensor, clear: Tensor) -> Tensor:
+    """Return displacements toward a target that go round the flock, (..., H, 2) m."""
+    from_center = state.shepherds - center
     distance = torch.linalg.vector_norm(from_center, dim=-1)
     turn = wrap(bearing(target - center) - bearing(from_center))
-    straight = target - seen.shepherds
-    # nearest point of the straight way to the center
+    straight = target - state.shepherds
+    # nearest point of the straight path to the center
     length = torch.linalg.vector_norm(straight, dim=-1).clamp(min=1e-6)
     along = (-(from_center * straight).sum(dim=-1) / length.square()).clamp(0.0, 1.0)
     nearest = torch.linalg.vector_norm(from_center + along[..., None] * straight, dim=-1)
@@ -119,15 +119,15 @@ def way_round(seen: WorldState, target: Tensor, center: Tensor, clear: Tensor) -
     return torch.where(blocked[..., None], (tangent + outward) * FULL_SPEED, straight)
 
 
-def way_apart(seen: WorldState, apart: float) -> Tensor:
+def separation(state: WorldState, reach: float) -> Tensor:
     """
-    Return the way from others nearer than apart [m], (..., H, 2): 2 long from one at hand.
+    Return the push from others nearer than reach [m], (..., H, 2): 2 long from one at hand.
 
     It keeps to the right, so that two who want to go where the other is pass by each other.
     """
-    offset = seen.shepherds[..., :, None, :] - seen.shepherds[..., None, :, :]
+    offset = state.shepherds[..., :, None, :] - state.shepherds[..., None, :, :]
     distance = torch.linalg.vector_norm(offset, dim=-1)
-    near = (1 - distance / max(apart, EPSILON)).clamp(min=0.0) * seen.shepherd_mask[..., None, :]
+    near = (1 - distance / max(reach, EPSILON)).clamp(min=0.0) * state.shepherd_mask[..., None, :]
     push = 2 * (unit(offset) * near[..., None]).sum(dim=-2)
     left = torch.stack([-push[..., 1], push[..., 0]], dim=-1)
     return math.cos(PASSING_ANGLE) * push + math.sin(PASSING_ANGLE) * left

@@ -26,6 +26,6 @@ class IdleController(Controller):
     order = 90
     style = ('#8A949B', (0, (1, 3)), 'x')
 
-    def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
+    def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return zeros, (..., H, 2) m/s."""
-        return torch.zeros_like(seen.shepherds), memory
+        return torch.zeros_like(state.shepherds), memory

@@ -91,11 +91,11 @@ class PiersonController(Controller):
     order = 11
     style = ('#0072B2', ':', '^')
 
-    def begin(self, seen: WorldState) -> Memory:
+    def begin(self, state: WorldState) -> Memory:
         """Return the first heading: from the flock to the goal."""
-        return {'heading': bearing(seen.goal - seen.center)}
+        return {'heading': bearing(state.goal - state.center)}
 
-    def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
+    def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return commands, (..., H, 2) m/s, and the turned heading."""
         config, world, flock, heading = (
             self.config,
@@ -106,35 +106,35 @@ class PiersonController(Controller):
         max_radius = max(config.max_radius or 0.75 * flock.arc_range, config.min_radius)
         gain = config.tracking_gain or min(1 / world.dt, 2.0)
         pace = max(flock.speed, 1e-9)
-        if compilable(seen.sheep, seen.shepherds, heading):
+        if compilable(state.sheep, state.shepherds, heading):
             velocity, heading = pierson_act(
-                seen, heading, config, max_radius, gain, pace, world.dt, world.shepherd_speed
+                state, heading, config, max_radius, gain, pace, world.dt, world.shepherd_speed
             )
             return velocity, {'heading': heading}
-        center = seen.center
+        center = state.center
         forward = from_bearing(heading)
-        ahead = center + config.lead * forward - seen.goal  # p - g
+        ahead = center + config.lead * forward - state.goal  # p - g
         left = torch.stack([-forward[..., 1], forward[..., 0]], dim=-1)
         speed = -config.gain * (ahead * forward).sum(dim=-1)
         turn_rate = -config.gain / config.lead * (ahead * left).sum(dim=-1)
         turn_rate = turn_rate.clamp(-config.max_turn_rate, config.max_turn_rate)
         heading = wrap(heading + turn_rate * world.dt)
 
-        team = seen.team_size.to(heading.dtype)
+        team = state.team_size.to(heading.dtype)
         share = (speed / pace).clamp(config.weakest_push, config.strongest_push)
         opening = opening_for(share, team.clamp(min=2))
-        spread = flock_spread(seen)[0]
+        spread = flock_spread(state)[0]
         radius = (config.spread_factor * spread).clamp(config.min_radius, max_radius)
         # one shepherd stands opposite to the way to the goal, at the same radius
-        rear = torch.where(team == 1, bearing(seen.goal - center), heading) + math.pi
+        rear = torch.where(team == 1, bearing(state.goal - center), heading) + math.pi
         spacing = torch.where(team == 1, 0.0, opening / (team - 1).clamp(min=1))[..., None]
         if config.assignment == 'sorted':
-            around = wrap(bearing(seen.shepherds - center[..., None, :]) - rear[..., None])
-            place = places_on_arc(around, spacing, seen.shepherd_mask)
+            around = wrap(bearing(state.shepherds - center[..., None, :]) - rear[..., None])
+            place = places_on_arc(around, spacing, state.shepherd_mask)
         else:
-            index = torch.arange(seen.shepherds.shape[-2], device=heading.device)
+            index = torch.arange(state.shepherds.shape[-2], device=heading.device)
             place = (index - (team[..., None] - 1) / 2) * spacing
         place = rear[..., None] + place
         target = center[..., None, :] + radius[..., None, None] * from_bearing(place)
-        velocity = clip_norm(gain * (target - seen.shepherds), world.shepherd_speed)
-        return velocity * seen.shepherd_mask[..., None], {'heading': heading}
+        velocity = clip_norm(gain * (target - state.shepherds), world.shepherd_speed)
+        return velocity * state.shepherd_mask[..., None], {'heading': heading}

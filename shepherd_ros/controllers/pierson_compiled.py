@@ -67,8 +67,8 @@ def _pierson(
         speed = -gain * (ahead_x * cos + ahead_y * sin)
         turn_rate = -gain / lead * (ahead_y * cos - ahead_x * sin)
         turn_rate = min(max(turn_rate, -max_turn_rate), max_turn_rate)
-        way = wrap_angle(heading[b] + turn_rate * dt)
-        new_heading[b] = way
+        course = wrap_angle(heading[b] + turn_rate * dt)
+        new_heading[b] = course
 
         here = 0
         for h in range(size):
@@ -76,7 +76,7 @@ def _pierson(
         team = np.float32(here)
         share = min(max(speed / pace, weakest), strongest)
         radius = min(max(spread_factor * spread, min_radius), max_radius)
-        rear, spacing = way + _PI, _ZERO
+        rear, spacing = course + _PI, _ZERO
         if team == 1:
             rear = bearing_xy(goal[b, 0] - x, goal[b, 1] - y) + _PI
         else:
@@ -103,7 +103,7 @@ def _pierson(
 
 
 def pierson_act(
-    seen: WorldState,
+    state: WorldState,
     heading: Tensor,
     config: Any,
     max_radius: float,
@@ -113,8 +113,8 @@ def pierson_act(
     top: float,
 ) -> tuple[Tensor, Tensor]:
     """Return the command of controllers.pierson; pace is the sheep's speed, top the shepherds'."""
-    shepherds, way = flat_array(seen.shepherds, 2), flat_array(heading, 0)
-    velocity, new_heading = np.empty_like(shepherds), np.empty_like(way)
+    shepherds, course = flat_array(state.shepherds, 2), flat_array(heading, 0)
+    velocity, new_heading = np.empty_like(shepherds), np.empty_like(course)
     numbers = (
         config.lead,
         config.gain,
@@ -130,18 +130,18 @@ def pierson_act(
         top,
     )
     _pierson(
-        flat_array(seen.sheep, 2),
-        flat_array(seen.sheep_mask, 1),
+        flat_array(state.sheep, 2),
+        flat_array(state.sheep_mask, 1),
         shepherds,
-        flat_array(seen.shepherd_mask, 1),
-        flat_array(seen.goal, 1),
-        way,
+        flat_array(state.shepherd_mask, 1),
+        flat_array(state.goal, 1),
+        course,
         config.assignment == 'sorted',
         *(np.float32(number) for number in numbers),
         velocity,
         new_heading,
     )
-    shape = seen.shepherds.shape
+    shape = state.shepherds.shape
     return (
         torch.from_numpy(velocity.reshape(shape)),
         torch.from_numpy(new_heading.reshape(heading.shape)),

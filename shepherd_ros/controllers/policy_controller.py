@@ -47,25 +47,25 @@ class LearnedController(Controller):
         self.dtype = dtype
         require_same_world(self.policy, world)
 
-    def begin(self, seen: WorldState) -> Memory:
+    def begin(self, state: WorldState) -> Memory:
         """Return the memory of a team that has seen nothing."""
-        team = seen.shepherds.shape[-2]
-        return inference.begin(self.policy, seen.step.shape, team, self.dtype)
+        team = state.shepherds.shape[-2]
+        return inference.begin(self.policy, state.step.shape, team, self.dtype)
 
-    def look(self, seen: WorldState) -> Tensor:
+    def read_ranges(self, state: WorldState) -> Tensor:
         """Return the ranges of the shepherds' lidars, (..., H, C, R) m."""
-        return scan(seen, self.policy.config.lidar)
+        return scan(state, self.policy.config.lidar)
 
-    def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
+    def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return new commands where it is time to decide, else the held ones; and memory."""
 
         def draws() -> Tensor:
-            return action_draws(seen.seed, seen.step, seen.shepherds.shape[-2])
+            return action_draws(state.seed, state.step, state.shepherds.shape[-2])
 
         return inference.act(
             self.policy,
-            lambda: self.look(seen),
-            seen.shepherd_mask,
+            lambda: self.read_ranges(state),
+            state.shepherd_mask,
             memory,
             self.world.shepherd_speed,
             draws if self.config.sample else None,

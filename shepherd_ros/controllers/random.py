@@ -29,9 +29,9 @@ class RandomController(Controller):
     order = 91
     style = ('#B5BCC1', (0, (5, 4)), '+')
 
-    def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
+    def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return random velocities, (..., H, 2) m/s."""
-        index = torch.arange(seen.shepherds.shape[-2], device=seen.shepherds.device)
-        drawn = torch.div(seen.step, self.config.hold_steps, rounding_mode='floor')
-        way = direction(seen.seed, drawn, Stream.CONTROL, index, seen.shepherds.dtype)
-        return way * self.world.shepherd_speed, memory
+        index = torch.arange(state.shepherds.shape[-2], device=state.shepherds.device)
+        drawn = torch.div(state.step, self.config.hold_steps, rounding_mode='floor')
+        course = direction(state.seed, drawn, Stream.CONTROL, index, state.shepherds.dtype)
+        return course * self.world.shepherd_speed, memory

@@ -67,35 +67,35 @@ class StrombomController(Controller):
         """Return r in metres."""
         return float(self.config.interaction_range or self.world.flock.repulsion_range)
 
-    def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
+    def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return commands, (..., H, 2) m/s."""
-        if compilable(seen.sheep, seen.shepherds):
+        if compilable(state.sheep, state.shepherds):
             r, world = self.interaction_range, self.world
-            return strombom_act(seen, self.config, r, world.dt, world.shepherd_speed), memory
-        center = seen.center
-        distance = torch.linalg.vector_norm(seen.sheep - center[..., None, :], dim=-1)
-        distance = distance.masked_fill(~seen.sheep_mask, 0.0)
-        target = self._targets(seen, center, distance)
-        velocity = self._approach(seen, center, distance.amax(dim=-1), target)
-        return velocity * seen.shepherd_mask[..., None], memory
+            return strombom_act(state, self.config, r, world.dt, world.shepherd_speed), memory
+        center = state.center
+        distance = torch.linalg.vector_norm(state.sheep - center[..., None, :], dim=-1)
+        distance = distance.masked_fill(~state.sheep_mask, 0.0)
+        target = self._targets(state, center, distance)
+        velocity = self._approach(state, center, distance.amax(dim=-1), target)
+        return velocity * state.shepherd_mask[..., None], memory
 
-    def _targets(self, seen: WorldState, center: Tensor, distance: Tensor) -> Tensor:
+    def _targets(self, state: WorldState, center: Tensor, distance: Tensor) -> Tensor:
         """Return the place of each shepherd, (..., H, 2) m: behind a stray or on the arc."""
-        r, n = self.interaction_range, seen.flock_size.to(distance.dtype)
+        r, n = self.interaction_range, state.flock_size.to(distance.dtype)
         if self.config.position_law == 'strombom':
             together, behind, collect = r * n ** (2 / 3), r * n.sqrt(), r
         else:
             together = r * (2 * n).sqrt()
             behind, collect = together + self.config.standoff, self.config.standoff
 
-        shepherds, free = seen.shepherds, seen.shepherd_mask
+        shepherds, free = state.shepherds, state.shepherd_mask
         index = torch.arange(shepherds.shape[-2], device=shepherds.device)
         farthest = distance.topk(min(shepherds.shape[-2], distance.shape[-1]), dim=-1)
         stray = farthest.values > together[..., None]  # (..., K), far to near
         target = torch.zeros_like(shepherds)
         for k in range(stray.shape[-1] if bool(stray.any()) else 0):
-            which = farthest.indices[..., k, None, None].expand(*seen.sheep.shape[:-2], 1, 2)
-            sheep = seen.sheep.gather(-2, which)
+            which = farthest.indices[..., k, None, None].expand(*state.sheep.shape[:-2], 1, 2)
+            sheep = state.sheep.gather(-2, which)
             away = torch.linalg.vector_norm(shepherds - sheep, dim=-1).masked_fill(
                 ~free, torch.inf
             )
@@ -105,9 +105,9 @@ class StrombomController(Controller):
             target = torch.where(taken[..., None], behind_stray, target)
             free = free & ~taken
 
-        rear = bearing(center - seen.goal)[..., None]
+        rear = bearing(center - state.goal)[..., None]
         around = wrap(bearing(shepherds - center[..., None, :]) - rear)
-        team = seen.team_size[..., None]
+        team = state.team_size[..., None]
         spacing = (
             math.pi / (2 * team)
             if self.config.wing_spacing == 0
@@ -117,21 +117,23 @@ class StrombomController(Controller):
         driving = center[..., None, :] + behind[..., None, None] * from_bearing(slot)
         return torch.where(free[..., None], driving, target)
 
-    def _approach(self, seen: WorldState, center: Tensor, d_far: Tensor, target: Tensor) -> Tensor:
-        """Return velocities (..., H, 2) m/s to the targets, round the flock if in the way."""
+    def _approach(
+        self, state: WorldState, center: Tensor, d_far: Tensor, target: Tensor
+    ) -> Tensor:
+        """Return velocities (..., H, 2) m/s to the targets, round the flock if it is between."""
         config, dt, top = self.config, self.world.dt, self.world.shepherd_speed
-        r, shepherds, center = self.interaction_range, seen.shepherds, center[..., None, :]
+        r, shepherds, center = self.interaction_range, state.shepherds, center[..., None, :]
         margin = config.arc_margin or 3 * r
         radius = (d_far + margin)[..., None]  # (..., 1)
         to_target = target - shepherds
-        way = unit(to_target)
+        course = unit(to_target)
         speed = (torch.linalg.vector_norm(to_target, dim=-1) / dt).clamp(max=top)
 
         offset = shepherds - center
         d = torch.linalg.vector_norm(offset, dim=-1)
         wanted = bearing(target - center)
         turn = wrap(wanted - bearing(offset))
-        next_offset = offset + speed[..., None] * dt * way
+        next_offset = offset + speed[..., None] * dt * course
         blocked = torch.linalg.vector_norm(next_offset, dim=-1) < radius
         detour = (turn.abs() > config.arc_tolerance) & blocked
 
@@ -145,15 +147,15 @@ class StrombomController(Controller):
         cosine = cosine.clamp(-1.0, 1.0)[..., None]
         chord = -outward * cosine + tangent * (1 - cosine * cosine).sqrt()
         on_arc = torch.where((d < radius - stride)[..., None], spiral, chord)
-        way = torch.where(detour[..., None], on_arc, way)
+        course = torch.where(detour[..., None], on_arc, course)
         speed = torch.where(detour, torch.full_like(speed, top), speed)
 
         if config.noise > 0:
             index = torch.arange(shepherds.shape[-2], device=shepherds.device)
-            random = direction(seen.seed, seen.step, Stream.CONTROL, index, way.dtype)
-            way = unit(way + config.noise * random)
+            random = direction(state.seed, state.step, Stream.CONTROL, index, course.dtype)
+            course = unit(course + config.noise * random)
         apart = torch.linalg.vector_norm(
-            shepherds[..., :, None, :] - seen.sheep[..., None, :, :], dim=-1
-        ).masked_fill(~seen.sheep_mask[..., None, :], torch.inf)
+            shepherds[..., :, None, :] - state.sheep[..., None, :, :], dim=-1
+        ).masked_fill(~state.sheep_mask[..., None, :], torch.inf)
         speed = speed.masked_fill(apart.amin(dim=-1) < config.stop_range * r, 0.0)
-        return speed[..., None] * way
+        return speed[..., None] * course

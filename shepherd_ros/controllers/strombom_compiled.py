@@ -44,11 +44,11 @@ def _strombom_targets(
         if not distance[stray] > together:
             break
         distance[stray] = -_ONE
-        nearest, way = -1, _FAR
+        nearest, shortest = -1, _FAR
         for h in range(team):
             apart = length(shepherds[h, 0] - sheep[stray, 0], shepherds[h, 1] - sheep[stray, 1])
-            if free[h] and apart < way:
-                nearest, way = h, apart
+            if free[h] and apart < shortest:
+                nearest, shortest = h, apart
         if nearest >= 0:
             free[nearest] = False
             away_x, away_y = unit_xy(sheep[stray, 0] - x, sheep[stray, 1] - y)
@@ -138,26 +138,28 @@ def _strombom(
             if not shepherd_mask[b, h] or nearest < stop:
                 continue
             to_x, to_y = target[h, 0] - shepherds[b, h, 0], target[h, 1] - shepherds[b, h, 1]
-            way_x, way_y = unit_xy(to_x, to_y)
+            course_x, course_y = unit_xy(to_x, to_y)
             speed = min(length(to_x, to_y) / dt, top)
             off_x, off_y = shepherds[b, h, 0] - x, shepherds[b, h, 1] - y
             turn = wrap_angle(
                 bearing_xy(target[h, 0] - x, target[h, 1] - y) - bearing_xy(off_x, off_y)
             )
-            ahead = length(off_x + speed * dt * way_x, off_y + speed * dt * way_y)
+            ahead = length(off_x + speed * dt * course_x, off_y + speed * dt * course_y)
             if abs(turn) > tolerance and ahead < radius:
                 d = length(off_x, off_y)
-                way_x, way_y = _detour(off_x, off_y, d, radius, stride, turn)
+                course_x, course_y = _detour(off_x, off_y, d, radius, stride, turn)
                 speed = top
             if noise > 0:
                 random_x, random_y = direction_at(key, h)
-                way_x, way_y = unit_xy(way_x + noise * random_x, way_y + noise * random_y)
-            velocity[b, h, 0], velocity[b, h, 1] = speed * way_x, speed * way_y
+                course_x, course_y = unit_xy(
+                    course_x + noise * random_x, course_y + noise * random_y
+                )
+            velocity[b, h, 0], velocity[b, h, 1] = speed * course_x, speed * course_y
 
 
-def strombom_act(seen: WorldState, config: Any, r: float, dt: float, top: float) -> Tensor:
+def strombom_act(state: WorldState, config: Any, r: float, dt: float, top: float) -> Tensor:
     """Return the command of controllers.strombom; its range r [m], dt [s], top speed [m/s]."""
-    shepherds = flat_array(seen.shepherds, 2)
+    shepherds = flat_array(state.shepherds, 2)
     velocity = np.empty_like(shepherds)
     numbers = (
         r,
@@ -171,15 +173,15 @@ def strombom_act(seen: WorldState, config: Any, r: float, dt: float, top: float)
         top,
     )
     _strombom(
-        flat_array(seen.seed, 0),
-        flat_array(seen.step, 0),
-        flat_array(seen.sheep, 2),
-        flat_array(seen.sheep_mask, 1),
+        flat_array(state.seed, 0),
+        flat_array(state.step, 0),
+        flat_array(state.sheep, 2),
+        flat_array(state.sheep_mask, 1),
         shepherds,
-        flat_array(seen.shepherd_mask, 1),
-        flat_array(seen.goal, 1),
+        flat_array(state.shepherd_mask, 1),
+        flat_array(state.goal, 1),
         config.position_law == 'elfiqi',
         *(np.float32(number) for number in numbers),
         velocity,
     )
-    return torch.from_numpy(velocity.reshape(seen.shepherds.shape))
+    return torch.from_numpy(velocity.reshape(state.shepherds.shape))

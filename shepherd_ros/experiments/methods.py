@@ -108,10 +108,10 @@ class FaultyLidarController(LearnedController):
 
     lidar: LidarConfig
 
-    def look(self, seen: WorldState) -> Tensor:
+    def read_ranges(self, state: WorldState) -> Tensor:
         """Return ranges (..., H, C, R) m; each of fewer rays stands for its neighbours too."""
         wanted = self.policy.config.lidar.n_rays
-        ranges = scan(seen, self.lidar)
+        ranges = scan(state, self.lidar)
         return ranges.repeat_interleave(wanted // self.lidar.n_rays, dim=-1).roll(
             -(wanted // self.lidar.n_rays // 2), dims=-1
         )

@@ -56,7 +56,7 @@ class _Worlds:
         self.env = ShepherdEnv(config, n_worlds)
         self.first = torch.zeros(n_worlds, config.world.n_shepherds, dtype=torch.int64)
 
-    def seen(self, stack: Tensor | None) -> np.ndarray:
+    def observe(self, stack: Tensor | None) -> np.ndarray:
         """Return the inputs (B, H, D, L) of stacks (B, H, K, C, R) m."""
         assert stack is not None
         observation = self.config.observation
@@ -81,7 +81,7 @@ class _Worlds:
     def _remember(self, stack: Tensor | None) -> np.ndarray:
         assert stack is not None
         self.first = first_ray(stack[..., -1, :, :], self.config.observation)
-        return self.seen(stack)
+        return self.observe(stack)
 
 
 def alone(config: EnvConfig | None) -> EnvConfig:
@@ -114,19 +114,19 @@ class HerdingEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Return observation (D, L), reward, ends and info after an action (2,)."""
-        seen, reward, truncated, info = self.worlds.step(np.asarray(action)[None, None])
-        told: dict[str, Any] = {}
+        obs, reward, truncated, info = self.worlds.step(np.asarray(action)[None, None])
+        episode_info: dict[str, Any] = {}
         if truncated[0]:
-            seen = self.worlds.seen(info['final_observation'])
-            told = {name: float(value[0]) for name, value in info['final_metrics'].items()}
-        return seen[0, 0], float(reward[0]), False, bool(truncated[0]), told
+            obs = self.worlds.observe(info['final_observation'])
+            episode_info = {name: float(value[0]) for name, value in info['final_metrics'].items()}
+        return obs[0, 0], float(reward[0]), False, bool(truncated[0]), episode_info
 
 
 class HerdingVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """
     Every shepherd of every world is one of the num_envs environments, world by world.
 
-    Episodes that end start anew in the same step; `final_obs` in the info is then what was seen
+    Episodes that end start anew in the same step; `final_obs` in the info is then the observation
     last, and `final_info` has the metrics of each world's episode; masks say whose they are.
     """
 
@@ -159,20 +159,20 @@ class HerdingVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Return observations, rewards, terminations, truncations (num_envs,) each, and info."""
         given = np.asarray(actions).reshape(-1, self.team, 2)
-        seen, reward, truncated, info = self.worlds.step(given)
-        told: dict[str, Any] = {}
+        obs, reward, truncated, info = self.worlds.step(given)
+        episode_info: dict[str, Any] = {}
         if 'final_observation' in info:
             ended = self._each(truncated)
-            told['final_obs'] = self._flat(self.worlds.seen(info['final_observation']))
+            episode_info['final_obs'] = self._flat(self.worlds.observe(info['final_observation']))
             final: dict[str, np.ndarray] = {}
             for name, value in info['final_metrics'].items():
                 final |= {name: self._each(value), f'_{name}': ended}
-            told |= {'final_info': final, '_final_obs': ended, '_final_info': ended}
+            episode_info |= {'final_info': final, '_final_obs': ended, '_final_info': ended}
         ended = self._each(truncated)
-        return self._flat(seen), self._each(reward), np.zeros_like(ended), ended, told
+        return self._flat(obs), self._each(reward), np.zeros_like(ended), ended, episode_info
 
-    def _flat(self, seen: np.ndarray) -> np.ndarray:
-        return seen.reshape(self.num_envs, *seen.shape[2:])
+    def _flat(self, obs: np.ndarray) -> np.ndarray:
+        return obs.reshape(self.num_envs, *obs.shape[2:])
 
     def _each(self, value: Tensor) -> np.ndarray:
         """Return what a world has (B,) for each of its shepherds (num_envs,)."""
@@ -196,8 +196,8 @@ class HerdingParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         self.possible_agents = [f'shepherd_{h}' for h in range(config.world.n_shepherds)]
         self.agents: list[str] = []
         self.render_mode = None
-        seen, done = spaces_of(config)
-        self.observation_spaces = dict.fromkeys(self.possible_agents, seen)
+        obs, done = spaces_of(config)
+        self.observation_spaces = dict.fromkeys(self.possible_agents, obs)
         self.action_spaces = dict.fromkeys(self.possible_agents, done)
 
     def observation_space(self, agent: str) -> spaces.Box:
@@ -213,8 +213,8 @@ class HerdingParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
     ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
         """Return observations and infos."""
         self.agents = list(self.possible_agents)
-        seen = self.worlds.reset(seed)
-        return self._by_name(seen), {name: {} for name in self.agents}
+        obs = self.worlds.reset(seed)
+        return self._by_name(obs), {name: {} for name in self.agents}
 
     def step(
         self, actions: dict[str, np.ndarray]
@@ -237,18 +237,18 @@ class HerdingParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         if missing:
             raise ConfigError(f'actions lack {missing}: expected one for each of {self.agents}')
         given = np.stack([actions[name] for name in self.agents])[None]
-        seen, reward, truncated, info = self.worlds.step(given)
+        obs, reward, truncated, info = self.worlds.step(given)
         names, ended = self.agents, bool(truncated[0])
-        told: dict[str, Any] = {}
+        episode_info: dict[str, Any] = {}
         if ended:
-            seen = self.worlds.seen(info['final_observation'])
-            told = {name: float(value[0]) for name, value in info['final_metrics'].items()}
+            obs = self.worlds.observe(info['final_observation'])
+            episode_info = {name: float(value[0]) for name, value in info['final_metrics'].items()}
         result = (
-            self._by_name(seen),
+            self._by_name(obs),
             dict.fromkeys(names, float(reward[0])),
             dict.fromkeys(names, False),
             dict.fromkeys(names, ended),
-            {name: dict(told) for name in names},
+            {name: dict(episode_info) for name in names},
         )
         if ended:
             self.agents = []
@@ -257,8 +257,8 @@ class HerdingParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
     def render(self) -> None:
         """Draw nothing: shepherd bag render draws episodes."""
 
-    def _by_name(self, seen: np.ndarray) -> dict[str, np.ndarray]:
-        return dict(zip(self.possible_agents, seen[0], strict=True))
+    def _by_name(self, obs: np.ndarray) -> dict[str, np.ndarray]:
+        return dict(zip(self.possible_agents, obs[0], strict=True))
 
 
 if ID not in gymnasium.registry:

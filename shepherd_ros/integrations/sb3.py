@@ -36,14 +36,14 @@ class HerdingVecEnv(VecEnv):
             raise ConfigError(f'hold is {hold}: expected a divisor of episode_steps, {steps}')
         self.env, self.hold = HerdingVectorEnv(config, n_worlds), hold
         self.actions = np.zeros((self.env.num_envs, 2), np.float32)
-        seen, done = self.env.single_observation_space, self.env.single_action_space
-        super().__init__(self.env.num_envs, seen, done)
+        obs, done = self.env.single_observation_space, self.env.single_action_space
+        super().__init__(self.env.num_envs, obs, done)
 
     def reset(self) -> np.ndarray:
         """Return observations (num_envs, D, L); seed() says with which seed world 0 starts."""
-        seen, _ = self.env.reset(seed=self._seeds[0])
+        obs, _ = self.env.reset(seed=self._seeds[0])
         self._reset_seeds()
-        return seen
+        return obs
 
     def step_async(self, actions: np.ndarray) -> None:
         """Take actions (num_envs, 2) in units of the top speed."""
@@ -53,14 +53,14 @@ class HerdingVecEnv(VecEnv):
         """Return observations, rewards (sums over the steps), ends (num_envs,) and infos."""
         total = np.zeros(self.num_envs, np.float32)
         for _ in range(self.hold):
-            seen, reward, _, truncated, info = self.env.step(self.actions)
+            obs, reward, _, truncated, info = self.env.step(self.actions)
             total += reward
         infos: Infos = [{'TimeLimit.truncated': bool(end)} for end in truncated]
         for i in truncated.nonzero()[0]:
             final = info['final_info'].items()
             metrics = {name: float(value[i]) for name, value in final if name[0] != '_'}
             infos[i] |= {'terminal_observation': info['final_obs'][i], 'metrics': metrics}
-        return seen, total, truncated, cast(Any, infos)
+        return obs, total, truncated, cast(Any, infos)
 
     def close(self) -> None:
         """Close nothing: the worlds hold no files and no processes."""
@@ -119,11 +119,11 @@ def evaluate(
     """Return the mean return and metrics of one episode in each world, by the mean action."""
     env = HerdingVecEnv(config, n_worlds, hold)
     env.seed(seed)
-    seen: Any = env.reset()
+    obs: Any = env.reset()
     total, infos = np.zeros(env.num_envs), cast(Infos, [])
     for _ in range(config.world.episode_steps // hold):
-        action, _ = model.predict(seen, deterministic=True)
-        seen, reward, _, infos = env.step(action)
+        action, _ = model.predict(obs, deterministic=True)
+        obs, reward, _, infos = env.step(action)
         total += reward
     means = {
         metric.name: float(np.mean([info['metrics'][metric.name] for info in infos]))

@@ -81,7 +81,7 @@ class WorldGroup:
         """
         Hold a command (B, H, 2) m/s for some steps; return the sum of the rewards, (B, H).
 
-        What the way costs, `effort`, is each shepherd's own, and no term of its team's reward.
+        The cost of a path, `effort`, is each shepherd's own, and no term of its team's reward.
         """
         total, effort = command.new_zeros(command.shape[:-1]), self.task.effort
         for _ in range(repeat):
@@ -90,9 +90,11 @@ class WorldGroup:
             total += reward(now)
             terms = now.reward_terms
             if effort > 0:
-                way = torch.linalg.vector_norm(now.state.shepherds - now.before.shepherds, dim=-1)
-                total -= effort * way
-                terms = terms | {'effort': -effort * way}
+                displacement = torch.linalg.vector_norm(
+                    now.state.shepherds - now.before.shepherds, dim=-1
+                )
+                total -= effort * displacement
+                terms = terms | {'effort': -effort * displacement}
             for name, term in terms.items():
                 self.terms[name] = self.terms.get(name, 0.0) + term.mean()
         return total

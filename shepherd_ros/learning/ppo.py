@@ -127,7 +127,12 @@ class PPOLearner:
         gain = batch.advantage
         target = gain + batch.value
         gain = normalised(gain)
-        seen: dict[str, list[float]] = {'actor_loss': [], 'critic_loss': [], 'kl': [], 'std': []}
+        scalars: dict[str, list[float]] = {
+            'actor_loss': [],
+            'critic_loss': [],
+            'kl': [],
+            'std': [],
+        }
         acting = actor
         for _ in range(config.update_epochs):
             order = torch.randperm(size, generator=generator, device=generator.device)
@@ -145,22 +150,22 @@ class PPOLearner:
                     mean, std = self.policy.actor(x)
                     log_ratio = log_prob(batch.action[chosen], mean, std) - batch.log_prob[chosen]
                     kl = total(share * float(approximate_kl(log_ratio.detach())))
-                    seen['kl'].append(kl)
+                    scalars['kl'].append(kl)
                     if kl > config.target_kl:
                         acting = False
                     else:
                         loss = clipped_loss(log_ratio.exp(), gain[chosen], config.clip_coef).mean()
-                        seen['actor_loss'].append(float(loss.detach()))
-                        seen['std'].append(float(std.detach().mean()))
+                        scalars['actor_loss'].append(float(loss.detach()))
+                        scalars['std'].append(float(std.detach().mean()))
                         loss = loss - config.entropy_coef * std.log().sum(dim=-1).mean()
                         self._descend(self.actor, self.policy.actor, loss * share)
                         self.average.update_parameters(self.policy.actor)
                 error = (self.policy.critic(x) - target[chosen]).square().mean()
-                seen['critic_loss'].append(float(error.detach()))
+                scalars['critic_loss'].append(float(error.detach()))
                 self._descend(self.critic, self.policy.critic, error * share)
-        means = {name: sum(values) / len(values) for name, values in seen.items() if values}
+        means = {name: sum(values) / len(values) for name, values in scalars.items() if values}
         return means | {
-            'actor_steps': float(len(seen['actor_loss'])),
+            'actor_steps': float(len(scalars['actor_loss'])),
             'explained_variance': explained_variance(batch.value, target),
         }
 

@@ -92,17 +92,17 @@ class PPOTrainer:
         self.learner.slow_down(1 - used)
         gamma = discount(config.ppo.gamma, self.policy.config)
         scale = 100 * (1 - gamma) / repeat
-        batch, seen = self.rollout.collect(gamma, config.ppo.gae_lambda, scale)
+        batch, scalars = self.rollout.collect(gamma, config.ppo.gae_lambda, scale)
         collected = time.monotonic()
         acting = self.progress['updates'] >= config.critic_warmup
-        seen |= self.learner.update(self.rollout.store, batch, self.generator, acting)
+        scalars |= self.learner.update(self.rollout.store, batch, self.generator, acting)
         self.rollout.roll()
         self.progress['samples'] += int(total(len(batch.value)))
         self.progress['updates'] += 1
         made = config.groups * config.worlds * config.decisions * repeat
         self.progress['world_steps'] += made * ranks()
-        seen['rollout_share'] = (collected - begun) / (time.monotonic() - begun)
-        return seen | {'action_repeat': float(repeat)}
+        scalars['rollout_share'] = (collected - begun) / (time.monotonic() - begun)
+        return scalars | {'action_repeat': float(repeat)}
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of the training."""

@@ -29,7 +29,7 @@ def begin(
 
 def act(
     policy: Policy,
-    look: Callable[[], Tensor],
+    read_ranges: Callable[[], Tensor],
     present: Tensor,
     memory: PolicyMemory,
     top_speed: float,
@@ -47,7 +47,7 @@ def act(
     due = count % config.action_repeat == 0
     if not due.any():
         return memory['command'], memory | {'count': count + 1}
-    ranges = look()
+    ranges = read_ranges()
     history, first = _remembered(policy, memory, ranges, due)
     acting = (present & due[..., None]).reshape(-1)
     frames = config.frames.seen(history).flatten(0, -4)[acting]

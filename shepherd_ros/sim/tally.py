@@ -95,9 +95,9 @@ def next_tally(tally: MetricsTally, before: WorldState, after: WorldState) -> Me
     """Return the tally with one more step, from the true state before it to the one after it."""
     distance, in_goal = _home(after)
     spread, per_axis = flock_spread(after)
-    way = torch.linalg.vector_norm(after.shepherds - before.shepherds, dim=-1)
-    way = (way * after.shepherd_mask).sum(dim=-1) / after.team_size
-    shepherd_path = tally.shepherd_path + way
+    displacement = torch.linalg.vector_norm(after.shepherds - before.shepherds, dim=-1)
+    displacement = (displacement * after.shepherd_mask).sum(dim=-1) / after.team_size
+    shepherd_path = tally.shepherd_path + displacement
     flock_path = tally.flock_path + torch.linalg.vector_norm(after.center - before.center, dim=-1)
     steps = tally.steps + 1
     done = tally.completed

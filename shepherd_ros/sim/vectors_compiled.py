@@ -69,13 +69,13 @@ def take_places(around, spacing, mask, place):
     middle = np.float32(count - 1) / _TWO
     least, best = np.float32(np.inf), 0
     for shift in range(count):
-        way = _ZERO
+        turned = _ZERO
         for h in range(team):
             if mask[h]:
                 at = (np.float32((rank[h] + shift) % count) - middle) * spacing
-                way += abs(wrap_angle(at - around[h]))
-        way = np.float32(round(way * np.float32(1e4)))
-        if way < least:
-            least, best = way, shift
+                turned += abs(wrap_angle(at - around[h]))
+        turned = np.float32(round(turned * np.float32(1e4)))
+        if turned < least:
+            least, best = turned, shift
     for h in range(team):
         place[h] = (np.float32((rank[h] + best) % count) - middle) * spacing

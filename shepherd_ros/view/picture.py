@@ -118,14 +118,14 @@ def draw_flock(axes: Axes, track: EpisodeTrack, steps: list[int]) -> list[Line2D
 def draw_ways(axes: Axes, track: EpisodeTrack) -> list[Line2D]:
     """Draw the ways of flock and shepherds with marks of time; return the legend's handles."""
     marks, center = time_marks(track.times), track.center
-    for shepherd, way in enumerate(track.shepherds.swapaxes(0, 1)):
+    for shepherd, path in enumerate(track.shepherds.swapaxes(0, 1)):
         color = shepherd_color(shepherd)
-        axes.add_collection(faded(way, color))
-        axes.plot(*way[marks].T, 'o', ms=2.8, color=color, zorder=3)
-        axes.plot(*way[:1].T, 'o', ms=6, mfc='white', mec=color, mew=1.5, zorder=4)
+        axes.add_collection(faded(path, color))
+        axes.plot(*path[marks].T, 'o', ms=2.8, color=color, zorder=3)
+        axes.plot(*path[:1].T, 'o', ms=6, mfc='white', mec=color, mew=1.5, zorder=4)
         top = {'zorder': 10 + 0.01 * shepherd}
-        axes.plot(*way[-1:].T, 'o', ms=12, mfc=color, mec='white', mew=1.2, **top)
-        axes.text(*way[-1], str(shepherd), **BADGE, **top)
+        axes.plot(*path[-1:].T, 'o', ms=12, mfc=color, mec='white', mew=1.2, **top)
+        axes.text(*path[-1], str(shepherd), **BADGE, **top)
     axes.plot(*center.T, color=INK, linewidth=1.8, zorder=7, path_effects=HALO)
     axes.plot(*center[marks].T, 'o', ms=4, mfc='white', mec=INK, mew=1.2, zorder=8)
     write_times(axes, track, marks)
@@ -143,9 +143,9 @@ def draw_ways(axes: Axes, track: EpisodeTrack) -> list[Line2D]:
     ]
 
 
-def faded(way: _Array, color: str) -> LineCollection:
+def faded(path: _Array, color: str) -> LineCollection:
     """Return a way (T, 2) m as a line that grows stronger with time."""
-    lines = np.stack([way[:-1], way[1:]], axis=1)
+    lines = np.stack([path[:-1], path[1:]], axis=1)
     strength = np.linspace(0.3, 0.95, len(lines))
     colors = [(*to_rgb(color), alpha) for alpha in strength]
     return LineCollection(lines, colors=colors, linewidths=1.4, capstyle='butt', zorder=3)
@@ -164,13 +164,13 @@ def write_times(axes: Axes, track: EpisodeTrack, marks: list[int]) -> None:
         axes.text(*place, f'{track.times[step]:.4g} s', ha='center', va='center', **style)
 
 
-def free_side(way: _Array, step: int, distance: float) -> _Array:
+def free_side(path: _Array, step: int, distance: float) -> _Array:
     """Return the point at a distance beside a way (T, 2) m, on the side with more room, (2,) m."""
-    ahead = way[min(step + 1, len(way) - 1)] - way[max(step - 1, 0)]
+    ahead = path[min(step + 1, len(path) - 1)] - path[max(step - 1, 0)]
     length = np.linalg.norm(ahead)
     across = np.array([-ahead[1], ahead[0]]) / length if length > 0 else np.array([0.0, 1.0])
-    sides = way[step] + distance * np.stack([across, -across])  # (2, 2)
-    room = np.linalg.norm(sides[:, None] - way, axis=-1).min(axis=1)
+    sides = path[step] + distance * np.stack([across, -across])  # (2, 2)
+    room = np.linalg.norm(sides[:, None] - path, axis=-1).min(axis=1)
     return sides[room.argmax()]
 
 

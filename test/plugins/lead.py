@@ -25,8 +25,8 @@ class LeadController(Controller):
     name = 'lead'
     config_type = LeadConfig
 
-    def act(self, seen: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
+    def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return commands, (..., H, 2) m/s."""
-        place = seen.center + unit(seen.center - seen.goal) * self.config.behind
-        velocity = clip_norm(place[..., None, :] - seen.shepherds, self.world.shepherd_speed)
-        return velocity * seen.shepherd_mask[..., None], memory
+        place = state.center + unit(state.center - state.goal) * self.config.behind
+        velocity = clip_norm(place[..., None, :] - state.shepherds, self.world.shepherd_speed)
+        return velocity * state.shepherd_mask[..., None], memory
