@@ -68,7 +68,7 @@ def main() -> None:
     torch.set_num_threads(options.threads)
     rows: list[dict[str, Any]] = []
     for form in ('compiled', 'plain'):
-        compiled.AVAILABLE = form == 'compiled'
+        compiled.HAS_NUMBA = form == 'compiled'
         rows += [
             {'form': form, 'worlds': worlds, **measure(worlds, options.seconds, options.device)}
             for worlds in options.worlds

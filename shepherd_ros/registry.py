@@ -21,8 +21,8 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from shepherd_ros.config import C, checked, Config, ConfigError, unknown_name
 
-GROUP = 'shepherd_ros.plugins'
-VARIABLE = 'SHEPHERD_ROS_PLUGINS'
+PLUGIN_GROUP = 'shepherd_ros.plugins'
+PLUGIN_VARIABLE = 'SHEPHERD_ROS_PLUGINS'
 _loaded: set[str] = set()
 
 
@@ -163,13 +163,13 @@ def _limits(entry: Any) -> Mapping[str, Any]:
 
 def load_plugins() -> None:
     """Import the plug-ins that are not imported yet, or raise ConfigError."""
-    installed = [] if GROUP in _loaded else entry_points(group=GROUP)
-    _loaded.add(GROUP)
+    installed = [] if PLUGIN_GROUP in _loaded else entry_points(group=PLUGIN_GROUP)
+    _loaded.add(PLUGIN_GROUP)
     for point in installed:
-        _import(point.value, f'entry point {point.name!r} of group {GROUP}')
-    for name in os.environ.get(VARIABLE, '').split(','):
+        _import(point.value, f'entry point {point.name!r} of group {PLUGIN_GROUP}')
+    for name in os.environ.get(PLUGIN_VARIABLE, '').split(','):
         if name.strip():
-            _import(name.strip(), VARIABLE)
+            _import(name.strip(), PLUGIN_VARIABLE)
 
 
 def _import(name: str, source: str) -> None:

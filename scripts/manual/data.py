@@ -92,9 +92,9 @@ one shepherd's steps without a hole.
 
 | file | content |
 | --- | --- |
-| `{lerobot_format.DATA}` | the steps |
-| `{lerobot_format.EPISODES}` | the episodes |
-| `{lerobot_format.TASKS}` | the task, `{lerobot_format.TASK}` |
+| `{lerobot_format.DATA_PATH}` | the steps |
+| `{lerobot_format.EPISODES_PATH}` | the episodes |
+| `{lerobot_format.TASKS}` | the task, `{lerobot_format.TASK_TEXT}` |
 | `{lerobot_format.INFO}` | shapes and types of the columns, as LeRobot reads them |
 | `{lerobot_format.STATS}` | mean, deviation and limits; rays without a return are left out |
 | `{lerobot_format.ABOUT}` | time step, rays, number of bags, what was left out and why |
@@ -105,9 +105,9 @@ one shepherd's steps without a hole.
         '## Steps',
         f'`{lerobot_format.LIDAR}` is channels by rays in m, `+inf` for no return. '
         f'`{lerobot_format.ACTION}` is a velocity in m/s, world frame.',
-        _columns(lerobot_format.ROWS),
+        _columns(lerobot_format.STEP_SCHEMA),
         '## Episodes',
-        _columns(lerobot_format.RUNS),
+        _columns(lerobot_format.EPISODE_SCHEMA),
     )
 
 

@@ -87,12 +87,14 @@ class _RandomWeights:
 
     def run(self) -> int:
         """Write it."""
-        from shepherd_ros.policy.checkpoint import save_policy, SUFFIX
+        from shepherd_ros.policy.checkpoint import CHECKPOINT_SUFFIX, save_policy
         from shepherd_ros.policy.policy import Policy, PolicyConfig
         import torch
 
-        if self.output.suffix != SUFFIX:
-            raise UserError(f'--output is {self.output}: expected a name that ends in {SUFFIX}')
+        if self.output.suffix != CHECKPOINT_SUFFIX:
+            raise UserError(
+                f'--output is {self.output}: expected a name that ends in {CHECKPOINT_SUFFIX}'
+            )
         torch.manual_seed(self.seed)
         record = {'command': f'shepherd checkpoint random --seed {self.seed}', 'trained': False}
         save_policy(self.output, Policy(PolicyConfig()), record)

@@ -8,17 +8,17 @@ import pyarrow as pa  # type: ignore[import-untyped]
 from shepherd_ros.sim.lidar_layout import ScanLayout
 
 DATASET_FORMAT = 'shepherd_ros data set 1'
-DATA = 'data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet'
-EPISODES = 'meta/episodes/chunk-000/file-000.parquet'
+DATA_PATH = 'data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet'
+EPISODES_PATH = 'meta/episodes/chunk-000/file-000.parquet'
 INFO, ABOUT, STATS, TASKS = (
     f'meta/{name}' for name in ('info.json', 'shepherd_ros.json', 'stats.json', 'tasks.parquet')
 )
 FILE_SIZE = 100  # [MiB] after which a data file is full
 FILES_PER_CHUNK = 1000  # files of a folder
-TASK = 'herd the flock into the goal'
+TASK_TEXT = 'herd the flock into the goal'
 LIDAR, ACTION = 'observation.lidar', 'action'
 _LONG = pa.int64()
-ROWS = pa.schema(
+STEP_SCHEMA = pa.schema(
     [(LIDAR, pa.list_(pa.list_(pa.float32()))), (ACTION, pa.list_(pa.float32(), 2)),
      ('timestamp', pa.float32()), ('frame_index', _LONG), ('episode_index', _LONG),
      ('index', _LONG), ('task_index', _LONG)]
@@ -45,14 +45,14 @@ NUMBERS = (
     'data/file_index', 'meta/episodes/chunk_index', 'meta/episodes/file_index', 'bag_index',
     'recorded_episode', 'seed', 'n_sheep', 'n_shepherds', 'shepherd', 'first_step',
 )  # fmt: skip
-RUNS = pa.schema(
+EPISODE_SCHEMA = pa.schema(
     [*((name, _LONG) for name in NUMBERS), ('tasks', pa.list_(pa.string())), ('bag', pa.string())]
 )
 
 
 def features(layout: ScanLayout) -> dict[str, Any]:
     """Return what each column is, as LeRobot says it."""
-    whole = {name: ('int64', [1], None) for name in ROWS.names[3:]}
+    whole = {name: ('int64', [1], None) for name in STEP_SCHEMA.names[3:]}
     columns = {
         LIDAR: ('float32', list(layout.shape), ['channel', 'ray']),
         ACTION: ('float32', [2], ['x', 'y']),

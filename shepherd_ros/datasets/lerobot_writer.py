@@ -22,9 +22,10 @@ from shepherd_ros import __version__
 from shepherd_ros.datasets.lerobot_format import (
     ABOUT,
     ACTION,
-    DATA,
+    DATA_PATH,
     DATASET_FORMAT,
-    EPISODES,
+    EPISODE_SCHEMA,
+    EPISODES_PATH,
     features,
     FILE_SIZE,
     FILES_PER_CHUNK,
@@ -32,10 +33,9 @@ from shepherd_ros.datasets.lerobot_format import (
     INFO,
     LIDAR,
     NUMBERS,
-    ROWS,
-    RUNS,
     STATS,
-    TASK,
+    STEP_SCHEMA,
+    TASK_TEXT,
     TASKS,
 )
 from shepherd_ros.datasets.running_stats import RunningStats
@@ -66,8 +66,10 @@ class DatasetWriter:
         self._ranges, self._actions = RunningStats(len(PAPER_CHANNELS)), RunningStats(2)
         try:
             shutil.rmtree(self.part, ignore_errors=True)
-            (self.part / EPISODES).parent.mkdir(parents=True)
-            self._episodes = parquet.ParquetWriter(self.part / EPISODES, RUNS, compression='zstd')
+            (self.part / EPISODES_PATH).parent.mkdir(parents=True)
+            self._episodes = parquet.ParquetWriter(
+                self.part / EPISODES_PATH, EPISODE_SCHEMA, compression='zstd'
+            )
         except OSError as error:
             raise self._unwritable(error) from error
 
@@ -134,10 +136,14 @@ class DatasetWriter:
             self._end_file()
         chunk, file = divmod(self.files, FILES_PER_CHUNK)
         if self._data is None:
-            path = self.part / DATA.format(chunk_index=chunk, file_index=file)
+            path = self.part / DATA_PATH.format(chunk_index=chunk, file_index=file)
             path.parent.mkdir(parents=True, exist_ok=True)
             self._data = parquet.ParquetWriter(
-                path, ROWS, compression='zstd', use_dictionary=False, write_page_checksum=True
+                path,
+                STEP_SCHEMA,
+                compression='zstd',
+                use_dictionary=False,
+                write_page_checksum=True,
             )
             self._in_file = 0
         self._data.write_table(self._table(steps, chosen), row_group_size=len(chosen))
@@ -149,7 +155,7 @@ class DatasetWriter:
             int(steps.shepherd[first]), int(steps.step[first]),
         )  # fmt: skip
         about = dict(zip(NUMBERS, row, strict=True))
-        self._kept.append(about | {'tasks': [TASK], 'bag': self._bag})
+        self._kept.append(about | {'tasks': [TASK_TEXT], 'bag': self._bag})
         self.runs, self.rows = self.runs + 1, self.rows + count
 
     def _table(self, steps: Steps, chosen: np.ndarray) -> pa.Table:
@@ -168,12 +174,12 @@ class DatasetWriter:
             (frame * self.dt).astype(np.float32), frame, np.full(n, self.runs),
             frame + self.rows, np.zeros(n, np.int64),
         )  # fmt: skip
-        return pa.table(list(columns), schema=ROWS)
+        return pa.table(list(columns), schema=STEP_SCHEMA)
 
     def _flush(self) -> None:
         """Write the rows of meta/episodes that are kept."""
         if self._kept:
-            self._episodes.write_table(pa.Table.from_pylist(self._kept, schema=RUNS))
+            self._episodes.write_table(pa.Table.from_pylist(self._kept, schema=EPISODE_SCHEMA))
             self._kept.clear()
 
     def _end_file(self) -> None:
@@ -195,7 +201,7 @@ class DatasetWriter:
             'video_files_size_in_mb': 200,
             'fps': round(rate) if abs(rate - round(rate)) < 1e-9 else rate,
             'splits': {'train': f'0:{self.runs}'},
-            'data_path': DATA,
+            'data_path': DATA_PATH,
             'video_path': None,
             'features': features(self.layout),
         }
@@ -211,7 +217,7 @@ class DatasetWriter:
             stats[name]['count'] = [self.rows]
         for path, content in ((INFO, info), (ABOUT, about), (STATS, stats)):
             (self.part / path).write_text(json.dumps(content, indent=1), encoding='utf-8')
-        tasks = pa.table({'task_index': pa.array([0], pa.int64()), 'task': [TASK]})
+        tasks = pa.table({'task_index': pa.array([0], pa.int64()), 'task': [TASK_TEXT]})
         tasks = tasks.replace_schema_metadata({'pandas': json.dumps(INDEXED_BY_TASK)})
         parquet.write_table(tasks, self.part / TASKS)
 

@@ -13,9 +13,9 @@ from shepherd_ros.experiments.setting import Setting
 OF_THE_PAPER = ('fig4', 'fig5', 'fractions', 'fig6', 'fig7', 'fig8')
 QUICK_STEPS = 250  # of an episode, instead of 1000
 BASELINES = ('strombom', 'pierson')
-PAPER = ('policy', *BASELINES, 'drover')
+PAPER_CONTROLLERS = ('policy', *BASELINES, 'drover')
 FIGURE_4 = ('completion_time', 'shepherd_path_length', 'flock_spread', 'flock_path_length')
-FRACTION = ('fraction_reached', 'shepherd_path_length')
+FRACTION_METRICS = ('fraction_reached', 'shepherd_path_length')
 TENS = tuple(range(10, 101, 10))
 SIZES, TEAMS = (10, 20, 50, 100, 150, 200, 300, 400), (1, 2, 3, 4, 6, 8, 10, 12)
 
@@ -30,7 +30,7 @@ class Experiment:
     quick: tuple[Setting, ...]
     axes: tuple[str, ...]  # one field: lines; two: a map; `case`: a row for each setting
     panels: tuple[str, ...]  # metrics
-    controllers: tuple[str, ...] = PAPER
+    controllers: tuple[str, ...] = PAPER_CONTROLLERS
     episodes: int = 100
 
     def with_preset(self, preset: str) -> Experiment:
@@ -120,14 +120,14 @@ EXPERIMENTS: dict[str, Experiment] = {
         _sweep(
             'fig7',
             'Repulsion between sheep',
-            FRACTION,
+            FRACTION_METRICS,
             {'repulsion': (0.5, 1.0, 4.0)},
             repulsion=tuple(k / 2 for k in range(1, 9)),
         ),
         _sweep(
             'fig8',
             'Reynolds flock',
-            FRACTION,
+            FRACTION_METRICS,
             {'sheep': (10, 50, 100)},
             base=Setting(flock='reynolds'),
             sheep=TENS,
@@ -137,7 +137,7 @@ EXPERIMENTS: dict[str, Experiment] = {
             'Teams and flocks',
             ('completion_time', 'fraction_reached'),
             {'sheep': (100,), 'shepherds': (1, 3)},
-            controllers=(*PAPER, 'idle', 'random'),
+            controllers=(*PAPER_CONTROLLERS, 'idle', 'random'),
             sheep=(10, 50, 100, 200),
             shepherds=range(1, 7),
         ),
@@ -161,7 +161,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         _sweep(
             'noise_repulsion',
             'Noise and repulsion together',
-            FRACTION,
+            FRACTION_METRICS,
             {'noise': (0.0, 2.0), 'repulsion': (1.0, 4.0)},
             episodes=20,
             noise=(0.0, 0.4, 0.8, 1.2, 1.6, 2.0),

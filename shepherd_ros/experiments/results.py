@@ -21,7 +21,7 @@ from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.metrics import METRICS
 
 RESULTS_FORMAT = {b'shepherd_ros': b'episodes 1'}
-KINDS = {int: pa.int64(), float: pa.float64(), bool: pa.bool_(), str: pa.string()}
+ARROW_TYPES = {int: pa.int64(), float: pa.float64(), bool: pa.bool_(), str: pa.string()}
 
 
 def value_names() -> tuple[str, ...]:
@@ -36,7 +36,7 @@ def schema() -> pa.Schema:
             ('key', pa.string()),  # cell_key() of what decides the episodes but their seeds
             ('controller', pa.string()),
             *(
-                (f.name, KINDS[type(f.default)])
+                (f.name, ARROW_TYPES[type(f.default)])
                 for f in fields(Setting)
                 if f.name in SETTING_FIELDS
             ),

@@ -14,7 +14,7 @@ from shepherd_ros.experiments.methods import sorted_methods
 from shepherd_ros.experiments.results import Results, value_names
 from shepherd_ros.experiments.setting import describe_setting, env_config, Setting, settled
 
-FLOORS = ('idle', 'random')
+FLOOR_METHODS = ('idle', 'random')
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def samples_of(
         # two settings can be the same world: a preset, and what it changes
         mask = rows.in_environment(env_config(setting))
         for name in sorted(set(rows.columns['controller'][mask].tolist())):
-            if name in FLOORS and name not in experiment.controllers:
+            if name in FLOOR_METHODS and name not in experiment.controllers:
                 continue  # rows of the table, which would clutter a figure
             cells[name, place] = np.flatnonzero(mask & rows.where(controller=name))
     sizes: dict[str, list[int]] = {}  # controller -> episodes in each of its cells

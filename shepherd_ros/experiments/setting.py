@@ -16,10 +16,10 @@ from shepherd_ros.config import Config, ConfigError, option
 if TYPE_CHECKING:
     from shepherd_ros.sim.rollout import EnvConfig
 
-SCATTER = 5.0  # [m] standard deviation of the start `scattered`; the paper has 1
+SCATTERED_STD = 5.0  # [m] standard deviation of the start `scattered`; the paper has 1
 STARTS: dict[str, dict[str, Any]] = {
     'paper': {},
-    'scattered': {'world.spawn.position_std': SCATTER},
+    'scattered': {'world.spawn.position_std': SCATTERED_STD},
     'two_groups': {'world.spawn.flock_groups': 2},
 }
 

@@ -9,16 +9,16 @@ from shepherd_ros.arguments import arguments_of, configured
 from shepherd_ros.experiments.setting import Setting
 import tyro
 
-ONE = arguments_of(Setting(), hidden=('any_dt',))
-SEVERAL = arguments_of(Setting(), hidden=('any_dt', 'preset'), several=True)
+ONE_SETTING = arguments_of(Setting(), hidden=('any_dt',))
+SEVERAL_SETTINGS = arguments_of(Setting(), hidden=('any_dt', 'preset'), several=True)
 
 
 @dataclass(kw_only=True)
 class OneSetting:
     """The options of a verb that works in one setting."""
 
-    world: Annotated[Any, tyro.conf.OmitArgPrefixes, tyro.conf.arg(constructor=ONE)] = field(
-        default_factory=ONE
+    world: Annotated[Any, tyro.conf.OmitArgPrefixes, tyro.conf.arg(constructor=ONE_SETTING)] = (
+        field(default_factory=ONE_SETTING)
     )
 
     @property
@@ -31,6 +31,6 @@ class OneSetting:
 class ManySettings:
     """The options of a verb that changes settings; each can have several values."""
 
-    worlds: Annotated[Any, tyro.conf.OmitArgPrefixes, tyro.conf.arg(constructor=SEVERAL)] = field(
-        default_factory=SEVERAL
-    )
+    worlds: Annotated[
+        Any, tyro.conf.OmitArgPrefixes, tyro.conf.arg(constructor=SEVERAL_SETTINGS)
+    ] = field(default_factory=SEVERAL_SETTINGS)

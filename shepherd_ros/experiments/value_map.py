@@ -14,11 +14,13 @@ from shepherd_ros.sim.world import WorldConfig
 import torch
 from torch import Tensor
 
-SIDE = 25.0  # [m] half the side of the plane, as in the paper
+HALF_SIDE = 25.0  # [m] half the side of the plane, as in the paper
 GRID_POINTS = 41  # along each side
 N_SHEEP = 10
 HIGH_VALUE = 0.8  # a value is high if it lies so far up between the lowest and the highest
-BEHIND = 0.5  # cosine of 60 degrees: the best place is behind the flock if it is within them
+BEHIND_COSINE = (
+    0.5  # cosine of 60 degrees: the best place is behind the flock if it is within them
+)
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class ValueMap:
         Both are seen from the flock; 1 is straight behind it, -1 between flock and goal.
         """
         row, column = np.unravel_index(self.values.argmax(), self.values.shape)
-        grid = np.linspace(-SIDE, SIDE, GRID_POINTS)
+        grid = np.linspace(-HALF_SIDE, HALF_SIDE, GRID_POINTS)
         center = self.sheep.mean(axis=0)
         way = np.array([grid[column], grid[row]]) - center
         lengths = np.linalg.norm(way) * np.linalg.norm(center)
@@ -59,7 +61,7 @@ def value_map(policy: Policy, seed: int = 0) -> ValueMap:
     """
     world = WorldConfig(n_sheep=N_SHEEP, n_shepherds=3, dt=policy.config.dt)
     start = spawn(world, torch.tensor([seed]))
-    grid = torch.linspace(-SIDE, SIDE, GRID_POINTS)
+    grid = torch.linspace(-HALF_SIDE, HALF_SIDE, GRID_POINTS)
     places = torch.stack(torch.meshgrid(grid, grid, indexing='xy'), dim=-1).reshape(-1, 2)
     values = torch.cat([_values(policy, start, part) for part in places.split(256)])
     return ValueMap(

@@ -24,7 +24,7 @@ from shepherd_ros.recordings.record import (
 from shepherd_ros.sim.rollout import Moment
 from torch import Tensor
 
-LABELS = 'teacher'  # namespace
+LABEL_NAMESPACE = 'teacher'  # namespace
 
 
 class DaggerBags:
@@ -51,7 +51,7 @@ class DaggerBags:
             return
         if not self.bags:
             self._begin(self.out, group)
-        write_moment(self.bags, group.moment, driven, (LABELS, labels))
+        write_moment(self.bags, group.moment, driven, (LABEL_NAMESPACE, labels))
 
     def close(self, last: Moment) -> None:
         """Write the moment that the last command led to, and finish the bags."""

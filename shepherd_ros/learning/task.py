@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from shepherd_ros.config import ConfigError, option, part
 from shepherd_ros.registry import Extended
-from shepherd_ros.sim.flocking import BOTH, FLOCK_MODELS
+from shepherd_ros.sim.flocking import FLOCK_MODELS, PAPER_FLOCKS
 from shepherd_ros.sim.presets import home_world, training_world, world_preset
 from shepherd_ros.sim.reward import RewardConfig
 from shepherd_ros.sim.rollout import EnvConfig
@@ -70,14 +70,14 @@ class TaskConfig(Extended):
     @property
     def flocks(self) -> tuple[str, ...]:
         """Return the flock models that are trained on."""
-        return BOTH if self.flock == 'both' else (self.flock,)
+        return PAPER_FLOCKS if self.flock == 'both' else (self.flock,)
 
 
 def draw_environment(task: TaskConfig, seed: int) -> EnvConfig:
     """Return the environment of one episode, the same for the same seed."""
     draw = random.Random(seed)
     # every number is drawn whether it is used or not, so that options do not shift each other
-    flock = draw.choice(BOTH)
+    flock = draw.choice(PAPER_FLOCKS)
     sheep = draw.randint(task.sheep_min, task.sheep_max)
     repulsion = draw.uniform(task.repulsion_min, task.repulsion_max)
     noise = draw.uniform(0.0, task.noise_max)

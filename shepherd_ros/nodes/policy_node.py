@@ -23,7 +23,7 @@ from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.ros.parameters import declare_config
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.ros.scan_subscriber import SCAN_WARNING_PERIOD, ScanListener
-from shepherd_ros.ros.world_subscriber import SILENCE
+from shepherd_ros.ros.world_subscriber import LOCKSTEP_SILENCE_TIMEOUT
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_command, encode_twist
 from shepherd_ros.wire.episode import Episode
@@ -185,7 +185,7 @@ class PolicyNode(ShepherdNode):
 
     def _name_lacking(self) -> None:
         """Name scans that do not come and who publishes them, again if that changes."""
-        if self.wall() - self.heard < max(self.stale_after, SILENCE):
+        if self.wall() - self.heard < max(self.stale_after, LOCKSTEP_SILENCE_TIMEOUT):
             return
         lacking = [self.sourced(name) for name in self.scans.lacking()]
         if lacking != self.lacking:

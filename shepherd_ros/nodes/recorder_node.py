@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
 from shepherd_ros.nodes.recorder_bags import RecorderBags
 from shepherd_ros.nodes.recorder_options import RecorderOptions
-from shepherd_ros.nodes.recorder_subscriptions import DEPTH, RecorderSubscriptions, Row
+from shepherd_ros.nodes.recorder_subscriptions import QUEUE_DEPTH, RecorderSubscriptions, Row
 from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.rosbag2.errors import BagError
@@ -129,7 +129,7 @@ class Recorder(ShepherdNode):
                 self.bags.write(name, raw, received, publish_ns, coming)
             except (BagError, OSError) as error:
                 self._fail(error)
-        elif len(self.early) < DEPTH:
+        elif len(self.early) < QUEUE_DEPTH:
             self.early.append((name, raw, info))
         else:
             self.losses.dropped(name, 1)

@@ -14,7 +14,9 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.wire.contract import known
 import tyro
 
-EVENTS = '/_service_event'  # behind the name of a service: what introspection publishes
+SERVICE_EVENT_SUFFIX = (
+    '/_service_event'  # behind the name of a service: what introspection publishes
+)
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,7 @@ class RecorderOptions:
         def wanted(name: str) -> bool:
             if exclude is not None and exclude.search(name):
                 return False
-            service = name.removesuffix(EVENTS)
+            service = name.removesuffix(SERVICE_EVENT_SUFFIX)
             matched = self.all or (regex is not None and regex.search(service) is not None)
             if service != name:
                 return matched or self.all_services or service in services or name in names

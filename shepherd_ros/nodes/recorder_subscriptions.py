@@ -21,7 +21,7 @@ from shepherd_ros.wire.contract import known
 from shepherd_ros.wire.schemas import installed_text, nested_text, wire_types
 from shepherd_ros.wire.topics import contract
 
-DEPTH = 10_000  # messages that may wait for the recorder, per topic
+QUEUE_DEPTH = 10_000  # messages that may wait for the recorder, per topic
 Row = tuple[str, bytes, dict[str, int]]  # topic, message, times and number
 
 
@@ -97,7 +97,7 @@ class RecorderSubscriptions:
         for name, heard in self.inputs.items():
             handle, kind = heard.subscription.handle, heard.subscription.msg_type
             with handle:
-                for _ in range(DEPTH):
+                for _ in range(QUEUE_DEPTH):
                     taken = handle.take_message(kind, True)
                     if taken is None:
                         break
@@ -177,7 +177,7 @@ class RecorderSubscriptions:
             name,
             _never,
             QoSProfile(
-                depth=DEPTH,
+                depth=QUEUE_DEPTH,
                 reliability=ReliabilityPolicy.RELIABLE
                 if reliable
                 else ReliabilityPolicy.BEST_EFFORT,

@@ -34,7 +34,7 @@ from shepherd_ros.paper.claims import (
 from shepherd_ros.paper.statements import CLAIMS
 from shepherd_ros.sim.presets import Preset, PRESETS
 
-NAME = 'candidate'  # of the preset while it is tried
+CANDIDATE_NAME = 'candidate'  # of the preset while it is tried
 # option -> values; the first is that of the default preset
 CHOICES: dict[str, tuple[Any, ...]] = {
     'dt': (0.5,),  # that of the policies, which have to hold with the same choices
@@ -53,7 +53,7 @@ CHOICES: dict[str, tuple[Any, ...]] = {
     'controllers.pierson.weakest_push': (0.15, 0.05, 0.4),
     'controllers.pierson.tracking_gain': (0.0, 0.5, 1.0),
 }
-POINTS = {
+SEARCH_POINTS = {
     'fig4': ('sheep', (10, 50, 100)),
     'fig5': ('shepherds', (1, 3, 4, 6)),
     'fractions': ('', ()),  # those of the two before
@@ -104,13 +104,13 @@ def preset_of(candidate: Candidate) -> Preset:
         if path != 'dt':
             kind, name, option = path.split('.')
             parts[kind].setdefault(name, {})[option] = value
-    return Preset(NAME, 'under trial', candidate['dt'], **parts)
+    return Preset(CANDIDATE_NAME, 'under trial', candidate['dt'], **parts)
 
 
 def short(name: str) -> Experiment:
     """Return an experiment with the points of POINTS, in the preset under trial."""
-    whole = EXPERIMENTS[name].with_preset(NAME)
-    field, values = POINTS[name]
+    whole = EXPERIMENTS[name].with_preset(CANDIDATE_NAME)
+    field, values = SEARCH_POINTS[name]
     if not field:
         known = [s for other in ('fig4', 'fig5') for s in short(other).settings]
         return replace(whole, settings=tuple(dict.fromkeys(known)))
@@ -125,10 +125,10 @@ def findings(
 
     Cells that known holds are not run again; those that are run are put there.
     """
-    PRESETS.add(replace(preset, name=NAME))
+    PRESETS.add(replace(preset, name=CANDIDATE_NAME))
     known = {} if known is None else known
     try:
-        experiments = {name: short(name) for name in POINTS}
+        experiments = {name: short(name) for name in SEARCH_POINTS}
         settings = dict.fromkeys(settled(s) for e in experiments.values() for s in e.settings)
         tables = []
         for setting in settings:
@@ -149,7 +149,7 @@ def findings(
                     found[f'{claim.experiment}: {claim.statement}: {clause.text}'] = finding
         return found
     finally:
-        PRESETS.remove(NAME)
+        PRESETS.remove(CANDIDATE_NAME)
 
 
 def worth(verdicts: Iterable[str]) -> float:

@@ -10,7 +10,7 @@ from shepherd_ros.experiments.bootstrap import Array
 from shepherd_ros.paper.claims import ABOUT_TOLERANCE, Clause, Quantity, Sweep, Where
 
 TIME = 'completion_time'
-FLAT = 0.1  # a curve is `constant` if it stays within this share of its first value
+FLAT_TOLERANCE = 0.1  # a curve is `constant` if it stays within this share of its first value
 
 
 def about(text: str, quantity: Quantity, value: float) -> Clause:
@@ -91,7 +91,7 @@ def flat_time(text: str, method: str, where: Where | None = None, last: float = 
             s.at(method, TIME, last)  # has to be there
         return s.mean(method, TIME, where).max(axis=0) / s.at(method, TIME, 0.0)
 
-    return Clause(text, quantity, high=1 + FLAT)
+    return Clause(text, quantity, high=1 + FLAT_TOLERANCE)
 
 
 def smallest_ratio(method: str, other: str, metric: str) -> Quantity:

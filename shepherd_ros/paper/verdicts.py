@@ -10,7 +10,7 @@ import numpy as np
 from shepherd_ros.experiments.bootstrap import Array, mean_interval
 from shepherd_ros.experiments.methods import checkpoint_of, label, loaded, training_of
 from shepherd_ros.experiments.samples import Samples
-from shepherd_ros.experiments.value_map import BEHIND, value_map
+from shepherd_ros.experiments.value_map import BEHIND_COSINE, value_map
 from shepherd_ros.paper.claims import (
     Claim,
     Clause,
@@ -24,9 +24,9 @@ from shepherd_ros.paper.claims import (
 )
 from shepherd_ros.paper.curves import Curve, curve_verdict
 from shepherd_ros.paper.statements import CLAIMS
-from shepherd_ros.sim.flocking import BOTH
+from shepherd_ros.sim.flocking import PAPER_FLOCKS
 
-MAPS = 20  # starts of which the critic's values are looked at
+N_VALUE_MAPS = 20  # starts of which the critic's values are looked at
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def trained_on(policy: str) -> set[str]:
     """Return the flocks that a policy was trained with, as its checkpoint says."""
     task = training_of(policy).get('task')
     flock = task.get('flock') if isinstance(task, dict) else None
-    return set(BOTH) if flock == 'both' else {str(flock)}
+    return set(PAPER_FLOCKS) if flock == 'both' else {str(flock)}
 
 
 def as_the_paper(policy: str, flock: str) -> bool:
@@ -138,12 +138,14 @@ def verdicts_on_values(policies: Sequence[str]) -> list[Verdict]:
     found: list[Verdict] = []
     shares: dict[str, dict[str, Array]] = {'strombom': {}, 'reynolds': {}}  # by flock and policy
     for policy in policies:
-        maps = [value_map(loaded(checkpoint_of(policy)), seed) for seed in range(MAPS)]
+        maps = [value_map(loaded(checkpoint_of(policy)), seed) for seed in range(N_VALUE_MAPS)]
         value, low, high = map(float, mean_interval(np.array([m.behind for m in maps])))
         clause = Clause(
-            'cosine between best place and straight behind', _plain('').quantity, BEHIND
+            'cosine between best place and straight behind', _plain('').quantity, BEHIND_COSINE
         )
-        finding = ClauseFinding(clause, value, low, high, verdict(low, high, BEHIND, math.inf))
+        finding = ClauseFinding(
+            clause, value, low, high, verdict(low, high, BEHIND_COSINE, math.inf)
+        )
         found.append(_single('fig9', behind, policy, finding))
         for flock in trained_on(policy):
             shares[flock][policy] = np.array([m.high_share for m in maps])

@@ -17,7 +17,7 @@ import torch
 
 CHECKPOINT_FORMAT = 'shepherd_ros policy 1'
 MAX_CHECKPOINT_BYTES = 1 << 30  # [bytes] of a file
-SUFFIX = '.safetensors'
+CHECKPOINT_SUFFIX = '.safetensors'
 
 
 def save_policy(path: Path, policy: Policy, record: Mapping[str, Any]) -> None:
@@ -43,23 +43,25 @@ def save_policy(path: Path, policy: Policy, record: Mapping[str, Any]) -> None:
 def checkpoint_file(name: str) -> Path:
     """Return the path of a checkpoint: that of a file, or a shipped one by its name."""
     path = Path(name)
-    if path.suffix == SUFFIX or path.exists():
+    if path.suffix == CHECKPOINT_SUFFIX or path.exists():
         if path.is_file():
             return path
         raise ConfigError(f'checkpoint is {name!r}: expected a file that exists')
     try:
-        return share_file('checkpoints', name + SUFFIX)
+        return share_file('checkpoints', name + CHECKPOINT_SUFFIX)
     except (FileNotFoundError, ValueError) as error:
         raise ConfigError(
-            f'checkpoint is {name!r}: expected a {SUFFIX} file, or one that is shipped: '
-            f'{", ".join(shipped_checkpoints()) or "none is"}'
+            f'checkpoint is {name!r}: expected a {CHECKPOINT_SUFFIX} file, or one that '
+            f'is shipped: {", ".join(shipped_checkpoints()) or "none is"}'
         ) from error
 
 
 def shipped_checkpoints() -> list[str]:
     """Return the names of the checkpoints that come with the package."""
     try:
-        return sorted(path.stem for path in share_file('checkpoints').glob('*' + SUFFIX))
+        return sorted(
+            path.stem for path in share_file('checkpoints').glob('*' + CHECKPOINT_SUFFIX)
+        )
     except FileNotFoundError:
         return []
 

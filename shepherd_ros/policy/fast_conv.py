@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from shepherd_ros.sim.compiled import AVAILABLE, compiled
+from shepherd_ros.sim.compiled import compiled, HAS_NUMBA
 from shepherd_ros.sim.fused import fused
 import torch
 from torch import Tensor
@@ -19,7 +19,7 @@ from torch.nn import functional
 
 POOL_SIZE = 5
 NO_WINNER = POOL_SIZE  # the winner where no value is above zero: nobody gets the gradient
-INTEGER = {torch.bfloat16: torch.int16, torch.float32: torch.int32}
+INTEGER_DTYPES = {torch.bfloat16: torch.int16, torch.float32: torch.int32}
 
 
 @compiled
@@ -57,12 +57,12 @@ def _spread(gradient, winner, out):
 
 def _bits(tensor: Tensor) -> np.ndarray:
     """Return the bits of a contiguous float tensor as an array of integers."""
-    return tensor.detach().view(INTEGER[tensor.dtype]).numpy()
+    return tensor.detach().view(INTEGER_DTYPES[tensor.dtype]).numpy()
 
 
 def _compilable(x: Tensor) -> bool:
     """Return whether the compiled form exists for a tensor."""
-    return AVAILABLE and x.device.type == 'cpu' and x.dtype in INTEGER
+    return HAS_NUMBA and x.device.type == 'cpu' and x.dtype in INTEGER_DTYPES
 
 
 def pool(x: Tensor) -> tuple[Tensor, Tensor]:

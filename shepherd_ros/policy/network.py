@@ -11,7 +11,7 @@ import torch
 from torch import nn, Tensor
 from torch.nn import functional
 
-KERNEL = 10  # rays that a filter covers
+KERNEL_SIZE = 10  # rays that a filter covers
 
 
 @dataclass(frozen=True)
@@ -58,11 +58,11 @@ class Body(nn.Module):
         channels, length = shape
         self.circular = config.padding == 'circular'
         for _ in range(2):
-            length = (length if self.circular else length - KERNEL + 1) // POOL_SIZE
+            length = (length if self.circular else length - KERNEL_SIZE + 1) // POOL_SIZE
         if length < 1:
             raise ConfigError(f'an input of {shape[1]} values in a row: expected 79 or more')
-        self.conv1 = nn.Conv1d(channels, config.filters_1, KERNEL)
-        self.conv2 = nn.Conv1d(config.filters_1, config.filters_2, KERNEL)
+        self.conv1 = nn.Conv1d(channels, config.filters_1, KERNEL_SIZE)
+        self.conv2 = nn.Conv1d(config.filters_1, config.filters_2, KERNEL_SIZE)
         self.dense = nn.Linear(length * config.filters_2, config.hidden)
         for layer in (self.conv1, self.conv2, self.dense):
             nn.init.orthogonal_(layer.weight.flatten(1), math.sqrt(2.0))
@@ -87,7 +87,7 @@ class Body(nn.Module):
 
     def _closed(self, x: Tensor) -> Tensor:
         """Return x (B, L, C) with its first values once more at its end, if it is a ring."""
-        return torch.cat([x, x[:, : KERNEL - 1]], dim=1) if self.circular else x
+        return torch.cat([x, x[:, : KERNEL_SIZE - 1]], dim=1) if self.circular else x
 
 
 class Actor(nn.Module):

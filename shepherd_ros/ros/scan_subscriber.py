@@ -13,7 +13,7 @@ from shepherd_ros.wire.decode import Scan
 from shepherd_ros.wire.topics import scan_topic, SHEPHERD
 
 SCAN_WARNING_PERIOD = 5.0  # [s] between two warnings
-SLACK = 0.1  # by how much of the angle between two rays the last may be off
+ANGLE_SLACK = 0.1  # by how much of the angle between two rays the last may be off
 
 
 class ScanListener:
@@ -118,9 +118,9 @@ class ScanListener:
             wrong = f'range_max {scan.range_max} m, expected {want.range_max} m'
         elif abs(scan.angle_min) > 1e-6:
             wrong = f'angle_min {scan.angle_min} rad, expected 0'
-        elif not abs(scan.angle_increment - pitch) < SLACK * pitch / want.n_rays:
+        elif not abs(scan.angle_increment - pitch) < ANGLE_SLACK * pitch / want.n_rays:
             wrong = f'angle_increment {scan.angle_increment} rad, expected {pitch:.6f}'
-        elif not abs(scan.angle_max - 2 * math.pi + pitch) < SLACK * pitch:
+        elif not abs(scan.angle_max - 2 * math.pi + pitch) < ANGLE_SLACK * pitch:
             wrong = f'angle_max {scan.angle_max} rad, expected {2 * math.pi - pitch:.6f}'
         elif not f'/{scan.frame_id}'.endswith(f'/{frame}'):
             wrong = f'frame {scan.frame_id!r:.60}, expected {frame!r}: see parameter scan_frame'

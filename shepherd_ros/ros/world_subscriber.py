@@ -16,7 +16,7 @@ from shepherd_ros.wire.topics import GOAL, SHEEP_POSES, SHEPHERD_POSES
 import torch
 from torch import Tensor
 
-SILENCE = 3.0  # [s] without a state after which a world in lockstep is gone
+LOCKSTEP_SILENCE_TIMEOUT = 3.0  # [s] without a state after which a world in lockstep is gone
 
 
 @lru_cache(maxsize=4)  # nodes in one process hear the same bytes
@@ -64,7 +64,9 @@ class Listener:
             return 'no state of the world heard yet'
         waited = self.node.wall() - self.heard
         lockstep = self.episode is not None and self.episode.mode == 'lockstep'
-        if not lockstep or waited < SILENCE:  # in lockstep it is shown again each second at least
+        if (
+            not lockstep or waited < LOCKSTEP_SILENCE_TIMEOUT
+        ):  # in lockstep it is shown again each second at least
             return ''
         return f'no state of the world for {waited:.0f} s: {self.node.sourced(SHEEP_POSES)}'
 

@@ -6,13 +6,13 @@ from pathlib import Path
 
 from shepherd_ros.config import ConfigError
 
-RECOVER = 'run `shepherd bag recover {path}` to keep what can be read'
+RECOVER_HINT = 'run `shepherd bag recover {path}` to keep what can be read'
 
 
 class BagError(ConfigError):
     """A bag that cannot be read or written: its path, what is wrong, and what to do."""
 
-    def __init__(self, path: Path | str, what: str, fix: str = RECOVER) -> None:
+    def __init__(self, path: Path | str, what: str, fix: str = RECOVER_HINT) -> None:
         """Make the sentence; {path} in fix stands for the path."""
         self.path, self.what = Path(path), what
         super().__init__(f'{path}: {what}; {fix.replace("{path}", str(path))}')

@@ -11,7 +11,7 @@ import zlib
 
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, MetadataIndex, Statistics
-from shepherd_ros.rosbag2.errors import BagError, DamageError, RECOVER, unreadable
+from shepherd_ros.rosbag2.errors import BagError, DamageError, RECOVER_HINT, unreadable
 from shepherd_ros.rosbag2.mcap_walk import Definitions
 from shepherd_ros.rosbag2.metadata import Metadata
 from shepherd_ros.rosbag2.records import (
@@ -54,7 +54,7 @@ class Storage(Definitions):
     def __init__(self, path: Path, bag: Path | None = None) -> None:
         """Read the summary at the end of the file, or all of it if something is not in it."""
         super().__init__(path)
-        self.fix = RECOVER.replace('{path}', str(bag or path))
+        self.fix = RECOVER_HINT.replace('{path}', str(bag or path))
         self.counts: Counter[int] = Counter()  # messages by channel
         self.start_ns = self.end_ns = 0
         self.chunks: list[ChunkRef] = []

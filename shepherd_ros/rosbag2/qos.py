@@ -13,7 +13,7 @@ import yaml
 
 INFINITE = (9223372036, 854775807)  # s, ns
 # words of a policy by the numbers that versions up to 8 have
-WORDS = {
+POLICY_WORDS = {
     'history': ('system_default', 'keep_last', 'keep_all', 'unknown'),
     'reliability': ('system_default', 'reliable', 'best_effort', 'unknown', 'best_available'),
     'durability': (
@@ -25,7 +25,7 @@ WORDS = {
     ),
 }  # fmt: skip
 LARGEST_TEXT = 16 << 20  # [bytes] of YAML
-DEEPEST = 30  # levels of nested lists and maps; rosbag2 has 8
+MAX_YAML_DEPTH = 30  # levels of nested lists and maps; rosbag2 has 8
 _LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 _DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
 _DURATIONS = ('deadline', 'lifespan', 'liveliness_lease_duration')
@@ -45,8 +45,8 @@ def load_yaml(text: str, path: Path) -> Any:
         for event in yaml.parse(text, Loader=_LOADER):  # libyaml has no limit but its stack
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)
-            if depth > DEEPEST:
-                raise ValueError(f'more than {DEEPEST} levels')
+            if depth > MAX_YAML_DEPTH:
+                raise ValueError(f'more than {MAX_YAML_DEPTH} levels')
         return yaml.load(text, Loader=_LOADER)
     except (yaml.YAMLError, ValueError, TypeError, OverflowError, RecursionError) as error:
         raise BagError(path, f'its metadata is no YAML ({line_of(error)})') from error
@@ -80,7 +80,7 @@ class Qos:
 
     def __post_init__(self) -> None:
         """Refuse words that rosbag2 does not know."""
-        for policy, words in WORDS.items():
+        for policy, words in POLICY_WORDS.items():
             if getattr(self, policy) not in words:
                 raise ValueError(
                     f'{policy} is {getattr(self, policy)!r}: expected one of {", ".join(words)}'
@@ -101,7 +101,7 @@ class Qos:
     def from_dict(cls, data: Mapping[str, Any]) -> Qos:
         """Return the policies of any version; raises KeyError, TypeError or ValueError."""
         values: dict[str, Any] = {}
-        for policy, words in WORDS.items():
+        for policy, words in POLICY_WORDS.items():
             value = data[policy]
             values[policy] = words[value] if isinstance(value, int) else text_of(value)
         for name in _DURATIONS:

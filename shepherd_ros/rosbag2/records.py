@@ -38,7 +38,7 @@ CHUNK_HEAD = 32  # [bytes] of a chunk: two times, size, checksum, length of a na
 FOOTER_SIZE = PREFIX.size + 20 + len(MAGIC)  # [bytes] of everything that ends a file
 MAX_RECORD_BYTES = 256 << 20  # [bytes] of one record, and of one chunk when unpacked
 DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA)
-PIECE = 1 << 20  # [bytes] that are unpacked at once
+UNPACK_BYTES = 1 << 20  # [bytes] that are unpacked at once
 _PARSED: dict[int, Any] = {
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
@@ -166,7 +166,7 @@ def _piecewise(read: Callable[[int], bytes], size: int) -> bytes:
     """Return what read(most) gives until it gives nothing, or one byte more than size."""
     data = bytearray()
     while len(data) <= size:
-        piece = read(min(PIECE, size + 1 - len(data)))
+        piece = read(min(UNPACK_BYTES, size + 1 - len(data)))
         if not piece:
             break
         data += piece

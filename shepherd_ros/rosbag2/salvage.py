@@ -34,7 +34,7 @@ from shepherd_ros.rosbag2.records import (
 
 T = TypeVar('T')
 SEARCH_WINDOW = 1 << 20  # [bytes] that are searched at once
-GAP = 0  # opcode of a record that stands for bytes that cannot be read
+GAP_OPCODE = 0  # opcode of a record that stands for bytes that cannot be read
 # the head of a chunk below 4 GiB: kind, length, two times, size, checksum, name of its packing
 _CHUNK = re.compile(rb'\x06.{4}\0{4}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd)', re.DOTALL)
 _OVERLAP = 64  # [bytes] more than such a head has
@@ -118,7 +118,7 @@ class Salvage(Definitions):
         end = found or self.size
         self.lost_bytes += end - offset - kept
         self.lost_chunks += 1
-        return RecordRef(GAP, offset, end - offset - PREFIX.size), messages
+        return RecordRef(GAP_OPCODE, offset, end - offset - PREFIX.size), messages
 
     def _next_chunk(self, file: BinaryIO, offset: int) -> int | None:
         """Return where the next chunk that is whole begins, None if there is none."""

@@ -21,12 +21,12 @@ try:
 except ImportError:  # numba is optional
     njit = None
 
-AVAILABLE = njit is not None and os.environ.get('SHEPHERD_ROS_PLAIN') != '1'
+HAS_NUMBA = njit is not None and os.environ.get('SHEPHERD_ROS_PLAIN') != '1'
 
 
 def compilable(*tensors: Tensor) -> bool:
     """Return whether a compiled form exists for these tensors."""
-    return AVAILABLE and all(
+    return HAS_NUMBA and all(
         t.dtype == torch.float32 and t.device.type == 'cpu' and not t.requires_grad
         for t in tensors
     )
@@ -46,7 +46,7 @@ def _start() -> int:
 
 def start_numba() -> None:
     """Start numba, which takes half a second that nobody shall wait for later."""
-    if AVAILABLE:
+    if HAS_NUMBA:
         _start()
 
 

@@ -16,9 +16,9 @@ from shepherd_ros.sim.neighbors_compiled import squares_of
 
 SHEEP_PER_CELL = 16.0  # sheep in the cell of a sheep that are aimed at
 GRID_REACH = np.float32(2.5)  # standard deviations of the flock that the grid reaches to each side
-MANY = 4  # cells at most, in numbers of sheep
+MAX_CELLS_PER_SHEEP = 4  # cells at most, in numbers of sheep
 _SHARE = 3  # of the flock that is left out at least: all but one in so many
-FINER = 6  # times that cells are made smaller where sheep crowd in few of them
+CROWDED_REFINEMENT = 6  # times that cells are made smaller where sheep crowd in few of them
 
 
 @compiled
@@ -81,14 +81,14 @@ def build(sheep, mask):
     reach_y = GRID_REACH * math.sqrt(wide_y / max(count, 1)) + 1e-3
     cell = np.zeros(n, np.int64)
     members = np.zeros(n, np.int64)
-    start = np.zeros(MANY * n + 2, np.int64)
+    start = np.zeros(MAX_CELLS_PER_SHEEP * n + 2, np.int64)
     side = math.sqrt(4 * reach_x * reach_y * SHEEP_PER_CELL / max(count, 1))
     low_x, low_y = np.float32(mean_x - reach_x), np.float32(mean_y - reach_y)
     nx, ny, kept = 1, 1, side
-    for _ in range(FINER):
+    for _ in range(CROWDED_REFINEMENT):
         columns = max(int(2 * reach_x / side), 1)
         rows = max(int(2 * reach_y / side), 1)
-        if columns * rows > MANY * n:
+        if columns * rows > MAX_CELLS_PER_SHEEP * n:
             break
         nx, ny, kept = columns, rows, side
         crowd = _fill(sheep, mask, low_x, low_y, np.float32(side), nx, ny, cell, start, members)

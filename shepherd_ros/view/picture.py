@@ -31,8 +31,8 @@ from shepherd_ros.view.scene import (
 from shepherd_ros.view.track import _Array, EpisodeTrack
 
 SNAPSHOTS = 4  # times at which all sheep are drawn, pale to dark
-MARKS = 6  # times marked on the tracks, about
-SPACING = 0.045  # of the plot's width: nearest that two times are written
+TIME_MARKS = 6  # times marked on the tracks, about
+MIN_LABEL_SPACING = 0.045  # of the plot's width: nearest that two times are written
 PARTING = '#F0E442'  # yellow
 HALO = [withStroke(linewidth=2.6, foreground='white')]
 
@@ -78,7 +78,9 @@ def snapshot_steps(n_steps: int) -> list[int]:
 
 def time_marks(times: _Array) -> list[int]:
     """Return the steps nearest to round times within the episode, about MARKS of them."""
-    round_times = MaxNLocator(MARKS, steps=[1, 2, 2.5, 5, 10]).tick_values(times[0], times[-1])
+    round_times = MaxNLocator(TIME_MARKS, steps=[1, 2, 2.5, 5, 10]).tick_values(
+        times[0], times[-1]
+    )
     inside = round_times[(round_times >= times[0]) & (round_times <= times[-1])]
     return sorted({int(np.abs(times - t).argmin()) for t in inside})
 
@@ -154,7 +156,7 @@ def faded(path: _Array, color: str) -> LineCollection:
 def write_times(axes: Axes, track: EpisodeTrack, marks: list[int]) -> None:
     """Write the time beside marks of the flock's way, none too near to another."""
     left, right = axes.get_xlim()
-    near, written = SPACING * (right - left), np.empty((0, 2))
+    near, written = MIN_LABEL_SPACING * (right - left), np.empty((0, 2))
     for step in marks:
         place = free_side(track.center, step, 0.75 * near)
         if (np.linalg.norm(written - place, axis=1) < near).any():

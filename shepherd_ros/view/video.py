@@ -15,7 +15,7 @@ _Frames = Iterator[np.ndarray]  # (height, width, 3) uint8 each
 Writer = Callable[[_Frames, list[np.ndarray]], None]  # all frames; some, for the colours
 
 GIF_COLORS = 128
-LAST = 1.5  # [s] that a GIF rests on its last frame before it starts anew
+LAST_FRAME_TIME = 1.5  # [s] that a GIF rests on its last frame before it starts anew
 
 
 def video_writer(path: Path, fps: float) -> Writer:
@@ -41,7 +41,7 @@ def write_gif(path: Path, frames: _Frames, samples: list[np.ndarray], fps: float
         Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
         for frame in frames
     ]
-    durations = [round(1000 / fps)] * (len(images) - 1) + [round(1000 * LAST)]
+    durations = [round(1000 / fps)] * (len(images) - 1) + [round(1000 * LAST_FRAME_TIME)]
     options = {'duration': durations, 'loop': 0, 'optimize': True}
     images[0].save(path, 'GIF', save_all=True, append_images=images[1:], **options)
 

@@ -14,7 +14,7 @@ from shepherd_ros.wire.topics import contract, families, member, Topic, topic_pa
 
 HASHED_DEPTHS = {'command': 1, 'clock': 1}  # of queues that have become longer, no other meaning
 PROSE = ('publisher', 'subscribers', 'meaning')  # may change without any change on the wire
-HASH = 12  # characters of the hash of a topic
+HASH_LENGTH = 12  # characters of the hash of a topic
 # contract_hash() when bags began to have one for each topic, which were then as they are
 FIRST_CONTRACT_HASH = '57135bfda311c7fd6e26293ad7e9721224dca443640b9455ced35affab933188'
 
@@ -81,7 +81,7 @@ def topic_hashes() -> dict[str, str]:
     hashes = {}
     for name, row in (contract()[0] | families()).items():
         texts = [schema_text(kind) for kind in (row.type, row.alternative) if kind]
-        hashes[name] = _hash([_meaning(row), _profile(row.profile), texts])[:HASH]
+        hashes[name] = _hash([_meaning(row), _profile(row.profile), texts])[:HASH_LENGTH]
     return hashes
 
 

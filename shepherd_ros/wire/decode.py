@@ -19,8 +19,8 @@ Floats = NDArray[np.float64]
 Ranges = NDArray[np.float32]
 HEADER = 4  # [bytes] of encapsulation in front of every message
 SECOND = 1_000_000_000  # [ns]
-FRAME = 16  # [bytes] in front of the frame of a std_msgs/Header
-SCAN = 32  # [bytes] of a sensor_msgs/LaserScan from its header to its ranges
+FRAME_OFFSET = 16  # [bytes] in front of the frame of a std_msgs/Header
+SCAN_OFFSET = 32  # [bytes] of a sensor_msgs/LaserScan from its header to its ranges
 
 
 class CdrError(ValueError):
@@ -106,7 +106,7 @@ def _text(raw: bytes, start: int, length: int) -> str:
 def _header(raw: bytes, order: _Order) -> tuple[int, str, int]:
     """Return stamp [ns], frame and end of a std_msgs/Header."""
     sec, nanosec, length = order.header(raw, HEADER)
-    return sec * SECOND + nanosec, _text(raw, FRAME, length), FRAME + length
+    return sec * SECOND + nanosec, _text(raw, FRAME_OFFSET, length), FRAME_OFFSET + length
 
 
 @_checked
@@ -138,7 +138,7 @@ def decode_scan(raw: bytes, order: _Order) -> Scan:
     stamp_ns, frame_id, at = _header(raw, order)
     at += -at % 4
     start, end, increment, _, _, low, high, count = order.scan(raw, at)
-    ranges = np.frombuffer(raw, order.float32, count, at + SCAN)
+    ranges = np.frombuffer(raw, order.float32, count, at + SCAN_OFFSET)
     ranges = ranges.astype(np.float32, copy=False)
     return Scan(stamp_ns, frame_id, start, end, increment, low, high, ranges)
 
@@ -147,9 +147,9 @@ def decode_scan(raw: bytes, order: _Order) -> Scan:
 def decode_twist_stamped(raw: bytes, order: _Order) -> Vector:
     """Return the velocity in the plane of a geometry_msgs/TwistStamped."""
     sec, nanosec, length = order.header(raw, HEADER)  # once for each command: no further calls
-    at = FRAME + length
+    at = FRAME_OFFSET + length
     x, y = order.pair(raw, at + (HEADER - at) % 8)
-    frame_id = raw[FRAME:at].removesuffix(b'\x00').decode()
+    frame_id = raw[FRAME_OFFSET:at].removesuffix(b'\x00').decode()
     return Vector(sec * SECOND + nanosec, frame_id, x, y)
 
 

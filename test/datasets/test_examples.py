@@ -26,7 +26,7 @@ from shepherd_ros.datasets.examples import (
     look_at,
     stream_steps,
 )
-from shepherd_ros.datasets.lerobot_format import DATA, EPISODES
+from shepherd_ros.datasets.lerobot_format import DATA_PATH, EPISODES_PATH
 from shepherd_ros.datasets.lerobot_reader import open_dataset
 from shepherd_ros.datasets.lerobot_writer import DatasetWriter, runs
 from shepherd_ros.datasets.running_stats import RunningStats
@@ -137,7 +137,7 @@ def test_a_built_folder_has_the_files_and_columns_of_lerobot(bags: Path, tmp_pat
     assert np.array_equal(columns['index'], np.arange(report.steps))
     assert (columns['task_index'] == 0).all()
     np.testing.assert_allclose(columns['timestamp'], columns['frame_index'] * 0.5)
-    episodes = parquet.read_table(out / EPISODES).to_pylist()
+    episodes = parquet.read_table(out / EPISODES_PATH).to_pylist()
     assert len(episodes) == info['total_episodes'] == columns['episode_index'].max() + 1
     for k, row in enumerate(episodes):
         mine = slice(row['dataset_from_index'], row['dataset_to_index'])
@@ -167,7 +167,9 @@ def test_full_files_are_followed_by_others(bags: Path, tmp_path: Path) -> None:
             writer.add(steps)
         writer.close({})
     assert writer.files > 3
-    assert (tmp_path / 'built' / DATA.format(chunk_index=0, file_index=writer.files - 1)).exists()
+    assert (
+        tmp_path / 'built' / DATA_PATH.format(chunk_index=0, file_index=writer.files - 1)
+    ).exists()
     policy = Policy(POLICY)
     for one, other in zip(
         read_examples(bags, policy), read_examples(tmp_path / 'built', policy), strict=True
@@ -355,10 +357,10 @@ def test_bags_are_found_with_and_without_metadata(bags: Path, tmp_path: Path) ->
 def test_a_data_set_of_others_is_refused(bags: Path, tmp_path: Path) -> None:
     out = tmp_path / 'built'
     build_dataset([bags], out, OBSERVATION)
-    table = parquet.read_table(out / EPISODES)
+    table = parquet.read_table(out / EPISODES_PATH)
     first = table.column_names.index('length')
     odd = table.set_column(first, 'length', pa.array([10**9] * len(table)))
-    parquet.write_table(odd, out / EPISODES)
+    parquet.write_table(odd, out / EPISODES_PATH)
     with pytest.raises(BagError, match='length is 1000000000, expected 1 to 10000000'):
         look_at([out], OBSERVATION)
     (out / 'meta/shepherd_ros.json').unlink()

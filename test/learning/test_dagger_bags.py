@@ -13,7 +13,7 @@ from shepherd_ros.datasets.dataset_report import Report
 from shepherd_ros.datasets.examples import build_dataset
 from shepherd_ros.learning.clone import Examples
 from shepherd_ros.learning.dagger import DaggerConfig, LabelledWorlds
-from shepherd_ros.learning.dagger_bags import LABELS
+from shepherd_ros.learning.dagger_bags import LABEL_NAMESPACE
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.train_bc import stream_examples
 from shepherd_ros.policy.network import NetworkConfig
@@ -52,7 +52,7 @@ def driven(out: Path, worlds: int, steps: int, teacher_drives: bool = False) -> 
 def test_bc_finds_in_the_bags_what_dagger_learned_from(tmp_path: Path) -> None:
     policy, examples = driven(tmp_path / 'bags', 1, STEPS)
     ((frames, first, wanted),) = stream_examples(
-        [tmp_path / 'bags'], policy, Report(), labels=LABELS
+        [tmp_path / 'bags'], policy, Report(), labels=LABEL_NAMESPACE
     )
     count = len(examples)
     assert len(first) == count >= STEPS
@@ -60,8 +60,8 @@ def test_bc_finds_in_the_bags_what_dagger_learned_from(tmp_path: Path) -> None:
     assert torch.equal(first, examples.first[:count])
     torch.testing.assert_close(wanted, examples.wanted[:count], atol=1e-6, rtol=0)
     built = tmp_path / 'built'
-    build_dataset([tmp_path / 'bags'], built, POLICY.observation, LABELS)
-    ((_, _, again),) = stream_examples([built], policy, Report(), labels=LABELS)
+    build_dataset([tmp_path / 'bags'], built, POLICY.observation, LABEL_NAMESPACE)
+    ((_, _, again),) = stream_examples([built], policy, Report(), labels=LABEL_NAMESPACE)
     assert torch.equal(wanted, again)
 
 
@@ -74,7 +74,10 @@ def test_the_commands_are_those_that_moved_the_world(tmp_path: Path, teacher_dri
         bag = open_bag(path)
         result = check_bag(bag, ('scans', 'commands'))
         assert result.ok, result.text()
-        (episode,), (labelled,) = list(iter_episodes(bag)), list(iter_episodes(bag, labels=LABELS))
+        (episode,), (labelled,) = (
+            list(iter_episodes(bag)),
+            list(iter_episodes(bag, labels=LABEL_NAMESPACE)),
+        )
         assert path == episode_folder(tmp_path, episode.seed)
         assert len(episode.frames) == len(labelled.frames)
         assert episode.episode_steps == STEPS
@@ -123,7 +126,7 @@ def test_the_verbs_write_draw_and_learn_from_them(
     assert len(paths) > 2
     assert all(main(['bag', 'check', str(path)]) == 0 for path in paths)
     assert main(['bag', 'render', str(paths[0]), '-o', str(tmp_path / 'pictures')]) == 0
-    words = ['train', 'bc', str(tmp_path / 'bags'), '--labels', LABELS, '--epochs', '1']
+    words = ['train', 'bc', str(tmp_path / 'bags'), '--labels', LABEL_NAMESPACE, '--epochs', '1']
     assert main([*words, '--out', str(tmp_path / 'bc'), *small]) == 0
     assert 'examples:' in capsys.readouterr().out
 

@@ -20,8 +20,8 @@ def test_nothing_is_made_on_the_default_device(
     flock: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # compiled forms are for the CPU alone; a GPU takes the plain ones
-    monkeypatch.setattr(compiled, 'AVAILABLE', False)
-    monkeypatch.setattr(fast_conv, 'AVAILABLE', False)
+    monkeypatch.setattr(compiled, 'HAS_NUMBA', False)
+    monkeypatch.setattr(fast_conv, 'HAS_NUMBA', False)
     policy = Policy(
         PolicyConfig(
             action_repeat=2,

@@ -176,7 +176,7 @@ def test_node_and_law_differ_from_the_recording_in_the_same_way(
 def test_a_shepherd_that_is_not_answered_for_is_missing(
     pure: Path, monkeypatch: pytest.MonkeyPatch, shepherd: Callable[..., Said]
 ) -> None:
-    monkeypatch.setattr(controller_probe, 'PATIENCE', 10.0)
+    monkeypatch.setattr(controller_probe, 'ANSWER_TIMEOUT', 10.0)
     words = ['--controller', 'pierson', '-p', f'noise_std:={NOISE}', 'shepherd_ids:=[1]']
     code, out, _ = shepherd('replay', pure, *words)
     assert code == 1
@@ -198,7 +198,7 @@ def test_a_controller_that_is_silent_has_said_nothing(
     pure: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shepherd: Callable[..., Said]
 ) -> None:
     monkeypatch.setenv('PATH', str(tmp_path), prepend=':')
-    monkeypatch.setattr(controller_probe, 'PATIENCE', 0.5)
+    monkeypatch.setattr(controller_probe, 'ANSWER_TIMEOUT', 0.5)
     code, out, _ = shepherd('replay', pure, '--controller', script(tmp_path, 'exec sleep 60'))
     assert code == 1
     place = 'episode 0, step 0, stamp 0.500000000 s, shepherd_0: no command from the controller'

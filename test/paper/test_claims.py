@@ -452,7 +452,7 @@ def test_a_value_map_is_what_the_critic_says_of_the_third_shepherd() -> None:
 
 
 def test_areas_are_compared_for_every_pair_of_critics(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(verdicts, 'MAPS', 2)
+    monkeypatch.setattr(verdicts, 'N_VALUE_MAPS', 2)
     judged = verdicts_on_values(['policy:strombom', 'policy:paper_network', 'policy:reynolds'])
     by_statement = [j.policy for j in judged if j.statement.startswith('The areas')]
     assert len(judged) == 3 + 2

@@ -16,14 +16,14 @@ from shepherd_ros.paper.claims import AGREES, DISAGREES, UNDECIDED
 from shepherd_ros.paper.preset_scores import preset_scores
 from shepherd_ros.paper.preset_search import (
     attempt,
+    CANDIDATE_NAME,
     CHOICES,
     gap_of,
     KnownTables,
-    NAME,
-    POINTS,
     preset_of,
     proposals,
     search,
+    SEARCH_POINTS,
     short,
     Tried,
 )
@@ -35,31 +35,33 @@ OTHER = {path: values[-1] for path, values in CHOICES.items()}
 
 def test_the_first_candidate_is_the_default_preset(monkeypatch: pytest.MonkeyPatch) -> None:
     assert next(proposals(0, [])) == DEFAULT
-    monkeypatch.setitem(PRESETS._entries, NAME, preset_of(DEFAULT))
+    monkeypatch.setitem(PRESETS._entries, CANDIDATE_NAME, preset_of(DEFAULT))
     for flock in ('strombom', 'reynolds'):
-        assert world_preset(NAME, flock) == world_preset('default', flock)
+        assert world_preset(CANDIDATE_NAME, flock) == world_preset('default', flock)
         for name in ('strombom', 'pierson'):
-            mine = make_method(name, Setting(preset=NAME, flock=flock))
+            mine = make_method(name, Setting(preset=CANDIDATE_NAME, flock=flock))
             assert mine.config == make_method(name, Setting(flock=flock)).config
 
 
 def test_every_choice_arrives_where_it_belongs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(PRESETS._entries, NAME, preset_of(OTHER))
+    monkeypatch.setitem(PRESETS._entries, CANDIDATE_NAME, preset_of(OTHER))
     for path, value in OTHER.items():
         kind, _, rest = path.partition('.')
         name, _, option = rest.partition('.')
         if kind == 'dt':
-            assert env_config(Setting(preset=NAME)).world.dt == value
+            assert env_config(Setting(preset=CANDIDATE_NAME)).world.dt == value
         elif kind == 'flock':
-            flock = env_config(Setting(preset=NAME, flock=name)).world.flock
+            flock = env_config(Setting(preset=CANDIDATE_NAME, flock=name)).world.flock
             assert getattr(flock, option) == value
         else:
-            assert getattr(make_method(name, Setting(preset=NAME)).config, option) == value
+            assert (
+                getattr(make_method(name, Setting(preset=CANDIDATE_NAME)).config, option) == value
+            )
 
 
 def test_the_points_are_those_of_the_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(PRESETS._entries, NAME, preset_of(DEFAULT))
-    for name, (field, values) in POINTS.items():
+    monkeypatch.setitem(PRESETS._entries, CANDIDATE_NAME, preset_of(DEFAULT))
+    for name, (field, values) in SEARCH_POINTS.items():
         if field:
             assert {getattr(s, field) for s in short(name).settings} == set(values), name
 
@@ -88,7 +90,7 @@ def test_a_search_that_is_cut_off_goes_on_with_the_same_candidates(tmp_path: Pat
     assert list(search(tmp_path / 'cut', 3, 3, 2, steps=2)) == whole
     assert (tmp_path / 'cut').read_text() == (tmp_path / 'whole').read_text()
     assert len({json.dumps(tried.candidate) for tried in whole}) == 3
-    assert NAME not in PRESETS
+    assert CANDIDATE_NAME not in PRESETS
 
 
 def test_the_file_of_another_search_is_refused(

@@ -45,9 +45,9 @@ def worlds(flock, n_sheep: int, batch: int) -> tuple[WorldConfig, WorldState]:
 
 
 def both(monkeypatch: pytest.MonkeyPatch, law, *arguments):
-    assert compiled.AVAILABLE, 'numba is part of what make installs'
+    assert compiled.HAS_NUMBA, 'numba is part of what make installs'
     fast = law(*arguments)
-    monkeypatch.setattr(compiled, 'AVAILABLE', False)
+    monkeypatch.setattr(compiled, 'HAS_NUMBA', False)
     plain = law(*arguments)
     monkeypatch.undo()
     return fast, plain

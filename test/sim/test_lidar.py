@@ -59,7 +59,7 @@ def test_two_hundred_scenes_are_those_of_every_ray_with_every_disc(
     monkeypatch: pytest.MonkeyPatch, dtype: torch.dtype, form: str
 ) -> None:
     if form == 'as on a GPU':
-        monkeypatch.setattr(compiled, 'AVAILABLE', False)
+        monkeypatch.setattr(compiled, 'HAS_NUMBA', False)
         monkeypatch.setattr('shepherd_ros.sim.lidar.fusible', lambda tensor: True)
     # left out: rays that pass within `margin` of a disc's edge, ranges so near the greatest range,
     # and sensors so near a rim, where a rounding decides between a range and none

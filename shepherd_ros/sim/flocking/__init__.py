@@ -22,7 +22,7 @@ __all__ = [
     'strombom_flock',
 ]
 
-BOTH = ('strombom', 'reynolds')  # the flock models of the paper
+PAPER_FLOCKS = ('strombom', 'reynolds')  # the flock models of the paper
 _model_with: dict[type[FlockConfig], FlockModel] = {}
 
 for info in iter_modules(__path__):

@@ -22,7 +22,7 @@ from shepherd_ros.sim.vectors import clip_norm, EPSILON, from_bearing
 import torch
 from torch import Tensor
 
-TINY = 0.01  # length of a term [m, 1/m or 1] below which it counts in proportion
+SOFT_LENGTH = 0.01  # length of a term [m, 1/m or 1] below which it counts in proportion
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class ReynoldsFlock(FlockConfig):
 
 def soft_unit(term: Tensor) -> Tensor:
     """Return (..., 2) made one long; a tiny one stays short, so that rounding has no say."""
-    return term / torch.linalg.vector_norm(term, dim=-1, keepdim=True).clamp(min=TINY)
+    return term / torch.linalg.vector_norm(term, dim=-1, keepdim=True).clamp(min=SOFT_LENGTH)
 
 
 def reynolds_flock_step(
