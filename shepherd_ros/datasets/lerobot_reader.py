@@ -17,9 +17,9 @@ from pyarrow import parquet
 from shepherd_ros.datasets.lerobot_format import (
     ABOUT,
     ACTION,
-    DATA,
+    DATA_PATH,
     DATASET_FORMAT,
-    EPISODES,
+    EPISODES_PATH,
     FILES_PER_CHUNK,
     INFO,
     LIDAR,
@@ -30,7 +30,7 @@ from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS, ScanLayout, sorted_channels
 from shepherd_ros.sim.limits import MAX_SHEEP, MAX_SHEPHERDS, MAX_STEPS
 
-REBUILD = 'build it again with `shepherd dataset build`'
+REBUILD_HINT = 'build it again with `shepherd dataset build`'
 LARGEST_NOTE = 16 << 20  # [bytes] of a JSON file
 LARGEST_RUNS = 1_000_000
 LARGEST_FILE = 4 << 30  # [bytes] of Parquet
@@ -86,7 +86,7 @@ class Dataset:
         name = self.names[chosen.start]
         if (np.diff(key) <= 0).any() or shepherd.max() >= row['n_shepherds']:
             what = f'{name}:{row["recorded_episode"]} has a step twice, or too many shepherds'
-            raise BagError(self.folder / EPISODES, what, REBUILD)
+            raise BagError(self.folder / EPISODES_PATH, what, REBUILD_HINT)
         return Steps(
             bag=name,
             episode=row['recorded_episode'],
@@ -110,7 +110,7 @@ class Dataset:
         """Yield scans (n, C, R) m and actions (n, 2) m/s of runs in one file, in row groups."""
         number = self.files[chosen.start]
         chunk, file = divmod(int(number), FILES_PER_CHUNK)
-        path = self.folder / DATA.format(chunk_index=chunk, file_index=file)
+        path = self.folder / DATA_PATH.format(chunk_index=chunk, file_index=file)
         begin = int(np.searchsorted(self.files, number))
         with _open(path) as source:
             for k in chosen:
@@ -126,19 +126,19 @@ class Dataset:
         numbers = [_array(table[name], pa.int64(), (count,)) for name in names[2:]]
         if np.isnan(lidar).any() or not np.isfinite(action).all():
             what = f'row group {place} has NaN, or an action that is not finite'
-            raise BagError(path, what, REBUILD)
+            raise BagError(path, what, REBUILD_HINT)
         if (numbers[0] != k).any() or not np.array_equal(numbers[1], np.arange(count)):
-            raise BagError(path, f'row group {place} is not that of episode {k}', REBUILD)
+            raise BagError(path, f'row group {place} is not that of episode {k}', REBUILD_HINT)
         return lidar, action
 
 
 def open_dataset(folder: Path) -> Dataset:
     """Return the data set in a folder; raises BagError."""
     about = _about(folder)
-    path = folder / EPISODES
+    path = folder / EPISODES_PATH
     with _open(path) as source:
         if source.metadata.num_rows > LARGEST_RUNS:
-            raise BagError(path, f'it has more than {LARGEST_RUNS} rows', REBUILD)
+            raise BagError(path, f'it has more than {LARGEST_RUNS} rows', REBUILD_HINT)
         table = source.read([*NUMBERS, 'bag'], use_threads=False)
         count = np.arange(len(table))
         runs = {name: _array(table[name], pa.int64(), count.shape) for name in NUMBERS}
@@ -147,7 +147,7 @@ def open_dataset(folder: Path) -> Dataset:
         odd = (runs[name] < low) | (runs[name] > high)
         if odd.any():
             value = runs[name][odd][0]
-            raise BagError(path, f'{name} is {value}, expected {low} to {high}', REBUILD)
+            raise BagError(path, f'{name} is {value}, expected {low} to {high}', REBUILD_HINT)
     ends = np.cumsum(runs['length'])
     found = Dataset(folder, about['dt'], about['layout'], about['labels'], runs, bags)
     if not (
@@ -156,7 +156,7 @@ def open_dataset(folder: Path) -> Dataset:
         and np.array_equal(runs['dataset_to_index'], ends)
         and np.array_equal(runs['dataset_from_index'], ends - runs['length'])
     ):
-        raise BagError(path, 'its episodes are not in order, or some are missing', REBUILD)
+        raise BagError(path, 'its episodes are not in order, or some are missing', REBUILD_HINT)
     return found
 
 
@@ -164,23 +164,25 @@ def _about(folder: Path) -> dict[str, Any]:
     """Return what meta/shepherd_ros.json says; raises BagError."""
     path = folder / ABOUT
     if not path.is_file():
-        raise BagError(folder, f'{ABOUT} is not there, so it is no data set of ours', REBUILD)
+        raise BagError(folder, f'{ABOUT} is not there, so it is no data set of ours', REBUILD_HINT)
     try:
         with path.open('rb') as file:
             about = json.loads(file.read(LARGEST_NOTE).decode())
     except (OSError, ValueError, RecursionError) as error:
-        raise BagError(path, f'it cannot be read ({error!r:.200})', REBUILD) from error
+        raise BagError(path, f'it cannot be read ({error!r:.200})', REBUILD_HINT) from error
     if not isinstance(about, dict) or about.get('format') != DATASET_FORMAT:
-        raise BagError(path, f'it does not begin with format {DATASET_FORMAT!r}', REBUILD)
+        raise BagError(path, f'it does not begin with format {DATASET_FORMAT!r}', REBUILD_HINT)
     dt, rays, labels = (about.get(name) for name in ('dt', 'n_rays', 'labels'))
     if not (isinstance(dt, float) and 0 <= dt <= 10 and isinstance(labels, str)):
-        raise BagError(path, f'dt is {dt!r:.40} s and labels {labels!r:.40}', REBUILD)
+        raise BagError(path, f'dt is {dt!r:.40} s and labels {labels!r:.40}', REBUILD_HINT)
     if not (isinstance(rays, int) and 0 <= rays <= LARGEST_RAYS):
-        raise BagError(path, f'n_rays is {rays!r:.40}, expected 0 to {LARGEST_RAYS}', REBUILD)
+        raise BagError(path, f'n_rays is {rays!r:.40}, expected 0 to {LARGEST_RAYS}', REBUILD_HINT)
     channels = about.get('channels', list(PAPER_CHANNELS))
     words = isinstance(channels, list) and all(isinstance(name, str) for name in channels)
     if not words or channels != list(sorted_channels(channels)):
-        raise BagError(path, f'channels are {channels!r:.80}, expected names in order', REBUILD)
+        raise BagError(
+            path, f'channels are {channels!r:.80}, expected names in order', REBUILD_HINT
+        )
     return about | {'layout': ScanLayout(tuple(channels), rays)}
 
 
@@ -188,10 +190,10 @@ def _about(folder: Path) -> dict[str, Any]:
 def _open(path: Path) -> Iterator[Any]:
     """Lend a Parquet file; whatever Arrow says of it becomes a BagError."""
     if not path.is_file():
-        raise BagError(path, 'it is not there', REBUILD)
+        raise BagError(path, 'it is not there', REBUILD_HINT)
     try:
         if path.stat().st_size > LARGEST_FILE:
-            raise BagError(path, f'it has more than {LARGEST_FILE} bytes', REBUILD)
+            raise BagError(path, f'it has more than {LARGEST_FILE} bytes', REBUILD_HINT)
         with parquet.ParquetFile(
             path,
             pre_buffer=False,
@@ -203,7 +205,7 @@ def _open(path: Path) -> Iterator[Any]:
     except BagError:
         raise
     except (pa.ArrowException, LookupError, OSError, TypeError, ValueError) as error:
-        raise BagError(path, f'it cannot be read ({str(error)[:200]!r})', REBUILD) from error
+        raise BagError(path, f'it cannot be read ({str(error)[:200]!r})', REBUILD_HINT) from error
 
 
 def _array(column: Any, kind: Any, shape: tuple[int, ...]) -> np.ndarray:

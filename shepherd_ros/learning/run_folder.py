@@ -30,7 +30,7 @@ from shepherd_ros.policy.policy import Policy
 import torch
 
 # what torch raises for bytes that are no state, and what a state of another run leads to
-UNREADABLE = (
+STATE_ERRORS = (
     AttributeError, EOFError, LookupError, OSError, pickle.UnpicklingError, RuntimeError,
     TypeError, ValueError,
 )  # fmt: skip
@@ -151,7 +151,7 @@ class RunFolder:
         """Return the configuration of the run that is there."""
         try:
             return dict(json.loads(asked.read_text(encoding='utf-8'))['config'])
-        except UNREADABLE as error:
+        except STATE_ERRORS as error:
             raise ConfigError(
                 f'{asked} cannot be read ({error!s:.200}): expected that of a run; choose another '
                 '--out, or remove the folder'
@@ -216,7 +216,7 @@ class RunFolder:
             if len(states) != ranks():
                 raise ConfigError(f'{len(states)} processes, expected {ranks()}, as now')
             trainer.load_state_dict(states[rank()])
-        except UNREADABLE as error:
+        except STATE_ERRORS as error:
             raise ConfigError(
                 f'{self.state} cannot be read as a state of this run on this device '
                 f'({error!s:.200}): remove it to start anew'

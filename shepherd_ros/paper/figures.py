@@ -15,7 +15,7 @@ import numpy as np
 from shepherd_ros.experiments.bootstrap import Array
 from shepherd_ros.experiments.methods import label
 from shepherd_ros.experiments.samples import Samples
-from shepherd_ros.experiments.value_map import SIDE, ValueMap
+from shepherd_ros.experiments.value_map import HALF_SIDE, ValueMap
 from shepherd_ros.paper.curves import Curve, smoothed
 from shepherd_ros.paper.drawing import (
     axis_label,
@@ -178,7 +178,7 @@ def draw_values(maps: dict[str, ValueMap]) -> Figure:
     figure, panels = new_figure(1, len(maps), 3.8, 2.9)
     halo = [withStroke(linewidth=2, foreground='black')]
     for (name, found), axes in zip(maps.items(), panels.flat, strict=True):
-        extent = (-SIDE, SIDE, -SIDE, SIDE)
+        extent = (-HALF_SIDE, HALF_SIDE, -HALF_SIDE, HALF_SIDE)
         picture = axes.imshow(found.values, origin='lower', extent=extent, cmap=MAP)
         axes.contour(found.values, 5, extent=extent, colors='white', linewidths=0.5)
         axes.add_patch(Circle((0, 0), found.goal_radius, fill=False, color='white', linewidth=2))
