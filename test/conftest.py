@@ -6,6 +6,7 @@ The variables are set before rclpy is imported, here and in every process that a
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 import fcntl
@@ -13,7 +14,6 @@ from importlib.util import find_spec
 from itertools import count
 import os
 from pathlib import Path
-import re
 import tempfile
 from typing import TYPE_CHECKING
 
@@ -41,8 +41,13 @@ torch.set_num_threads(1)
 
 def lacking(path: Path) -> list[str]:
     """Return the packages that a file of tests imports and that are not installed."""
-    names = re.findall(r'^(?:import|from) (\w+)', path.read_text(encoding='utf-8'), re.MULTILINE)
-    return sorted(name for name in {*names} if find_spec(name) is None)
+    names = set()
+    for node in ast.parse(path.read_text(encoding='utf-8')).body:
+        if isinstance(node, ast.ImportFrom):
+            names.add(str(node.module).partition('.')[0])
+        elif isinstance(node, ast.Import):
+            names |= {alias.name.partition('.')[0] for alias in node.names}
+    return sorted(name for name in names if find_spec(name) is None)
 
 
 LACKING = {str(path): names for path in HERE.rglob('test_*.py') if (names := lacking(path))}

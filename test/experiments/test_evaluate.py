@@ -10,8 +10,7 @@ import sys
 
 import pytest
 from shepherd_ros import __version__
-from shepherd_ros.cli import evaluate as cli_evaluate
-from shepherd_ros.cli import main
+from shepherd_ros.cli import evaluate_verb, main
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.experiments import campaign
 from shepherd_ros.experiments.campaign import plan, seed_batches, shard_of
@@ -201,11 +200,11 @@ def test_rows_of_other_code_are_kept_and_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ['evaluate', 'table', '--shepherds', '1', '2', *WORDS, '--out', str(tmp_path)]
-    monkeypatch.setattr(cli_evaluate, 'commit', lambda: 'older')
+    monkeypatch.setattr(evaluate_verb, 'commit', lambda: 'older')
     assert main([*words, '--controllers', 'idle']) == 0
     assert main([*words, '--controllers', 'idle']) == 0
     assert 'other code' not in capsys.readouterr().out
-    monkeypatch.setattr(cli_evaluate, 'commit', lambda: 'newer')
+    monkeypatch.setattr(evaluate_verb, 'commit', lambda: 'newer')
     assert main([*words, '--controllers', 'idle', 'random']) == 0
     said = ' '.join(capsys.readouterr().out.split())
     assert 'done by other code: older; this is newer, give another --out' in said

@@ -73,6 +73,18 @@ def test_small_ones() -> None:
     assert decode_stamp(poses(NS, np.zeros((3, 2)), np.zeros((3, 2)))) == NS
 
 
+def test_what_ends_too_early_is_refused() -> None:
+    text = cdr(make('String', data='map'))
+    for raw, decode in (
+        (text, decode_string),
+        (cdr(make('Float64', data=1.0)), decode_float64),
+        (poses(NS, np.ones((2, 2)), np.ones((2, 2)), 'map'), decode_poses),
+    ):
+        for size in range(len(raw) if decode is not decode_string else len(text) - 1):
+            with pytest.raises(CdrError):
+                decode(raw[:size])
+
+
 def test_stamps_before_the_epoch_do_not_wrap() -> None:
     message = cdr(make('PoseArray', header=header(-1), poses=[]))
     assert decode_poses(message).stamp_ns == -1

@@ -43,6 +43,13 @@ def test_an_episode_comes_back_from_json_as_it_was() -> None:
         assert Episode.from_json(other.to_json()) == other
 
 
+def test_an_episode_begins_at_seconds_and_nanoseconds_and_has_one_step_at_least() -> None:
+    one_step = {**world_preset().to_dict(), 'episode_steps': 1}
+    episode = episode_of(world=one_step)
+    assert json.loads(episode.to_json())['start'] == {'sec': 7, 'nanosec': 500_000_000}
+    assert Episode.from_json(episode.to_json()) == episode
+
+
 def test_steps_of_an_episode_are_counted_from_its_first_stamp() -> None:
     episode = episode_of()  # 1000 steps of 0.5 s from 7.5 s on
     assert episode.dt_ns == 500_000_000

@@ -89,6 +89,7 @@ def test_texts_nest_depth_first_and_each_once():
 
     expected = texts['a/Top'] + part('a/Left') + part('b/Leaf') + part('a/Right')
     assert nested_text('a/msg/Top', texts.__getitem__) == expected
+    assert RULER == '=' * 80  # as rosbag2 has it
     assert dependencies(texts['a/Top'], 'a') == ['a/Left', 'a/Right']
 
 
