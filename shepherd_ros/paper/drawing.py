@@ -60,8 +60,9 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     image = BytesIO()
     figure.savefig(image, format='png')
-    picture = Image.open(image).convert('RGB').quantize(128, dither=Image.Dither.NONE)
-    picture.save(folder / f'{name}.png', optimize=True)
+    picture = Image.open(image).convert('RGB')
+    small = picture.quantize(128, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    small.save(folder / f'{name}.png', optimize=True)
     with rc_context({'svg.hashsalt': name, 'svg.fonttype': 'none'}):
         figure.savefig(folder / f'{name}.svg', metadata={'Date': None})
     return [folder / f'{name}.png', folder / f'{name}.svg']
