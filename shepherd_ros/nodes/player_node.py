@@ -13,7 +13,7 @@ from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes.player_options import PlayerOptions
-from shepherd_ros.nodes.player_topics import playable_type, quality
+from shepherd_ros.nodes.player_topics import playable_type, recorded_quality
 from shepherd_ros.ros.node import OK, ShepherdNode
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.rosbag2.bag import BagMessage
@@ -56,7 +56,7 @@ class Player(ShepherdNode):
         for why in refused:
             self.get_logger().warning(f'skipped: {why}')
         self.outputs: dict[str, Publisher] = {
-            name: self.create_publisher(kind, name, quality(self.bag.topics[name].qos))
+            name: self.create_publisher(kind, name, recorded_quality(self.bag.topics[name].qos))
             for name, kind in kinds.items()
         }
         histories = {name: history(self.bag.topics[name].qos) for name in self.names}

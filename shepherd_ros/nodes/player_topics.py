@@ -47,7 +47,7 @@ def playable_type(bag: Bag, topic: TopicInfo) -> Any:
     return kind
 
 
-def quality(qos: tuple[Qos, ...]) -> QoSProfile:
+def recorded_quality(qos: tuple[Qos, ...]) -> QoSProfile:
     """Return the recorded quality of service, rosbag2's default where publishers disagreed."""
     best_effort = bool(qos) and all(q.reliability == 'best_effort' for q in qos)
     latched = history(qos)

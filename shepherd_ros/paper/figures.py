@@ -36,7 +36,7 @@ AXES = {
     'repulsion': 'repulsion rho_a [1]',
 }
 MAP = 'cividis'  # grows lighter evenly, for colour-blind readers as well
-LEVELS = (0.5, 0.9)  # of a share, where contours are drawn
+MAP_LEVELS = (0.5, 0.9)  # of a share, where contours are drawn
 
 
 def draw(samples: Samples) -> Figure:
@@ -116,7 +116,12 @@ def draw_maps(samples: Samples) -> Figure:
             for place, value in enumerate(means[name]):
                 setting = samples.settings[place]
                 grid[y.index(getattr(setting, down)), x.index(getattr(setting, across))] = value
-            _map(axes, grid, scale, LEVELS if unit == '1' else MaxNLocator(5).tick_values(0, top))
+            _map(
+                axes,
+                grid,
+                scale,
+                MAP_LEVELS if unit == '1' else MaxNLocator(5).tick_values(0, top),
+            )
             above = f'{axis_label(metric)}\n\n' if axes is block[0, 0] else ''
             tidy(axes, AXES[across], AXES[down], above + label(name))
             axes.label_outer()
