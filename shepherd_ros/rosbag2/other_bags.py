@@ -81,16 +81,15 @@ class OtherBag(Bag):
         """Return what makes CDR of the bytes of a message."""
         if reader.is2:
             return bytes
-        types = reader.typestore.fielddefs
-        store = get_typestore(Stores.ROS2_JAZZY)
-        store.register({name: types[name] for name in types.keys() - store.fielddefs.keys()})
+        store = _with_types_of(reader)
         return generate_message_converter(
             reader.typestore, store, kind, kind, {}, src_is2=False, dst_is2=True
         )
 
     def _add(self, reader: AnyReader, connection: Any) -> None:
         kind, ext = connection.msgtype, connection.ext
-        text = STORE.generate_msgdef(kind, 2)[0] if kind in STORE.fielddefs else ''
+        store = STORE if reader.is2 else _with_types_of(reader)
+        text = store.generate_msgdef(kind, 2)[0] if kind in store.fielddefs else ''
         if reader.is2 and connection.msgdef.format.name != 'NONE':
             text = connection.msgdef.data
         encoding = 'ros2idl' if connection.msgdef.format.name == 'IDL' else 'ros2msg'
@@ -103,6 +102,13 @@ class OtherBag(Bag):
         before = self.topics.get(connection.topic, TopicInfo(connection.topic, kind))
         count = before.count + connection.msgcount
         self.topics[connection.topic] = replace(before, count=count, qos=before.qos + qos)
+
+
+def _with_types_of(reader: AnyReader) -> Any:
+    """Return the types of Jazzy and those that only the bag has."""
+    types, store = reader.typestore.fielddefs, get_typestore(Stores.ROS2_JAZZY)
+    store.register({name: types[name] for name in types.keys() - store.fielddefs.keys()})
+    return store
 
 
 def _qos(profile: Any) -> Qos:

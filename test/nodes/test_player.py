@@ -11,7 +11,8 @@ from typing import Any
 from nodes.process import Graph, LATCHED, RELIABLE
 import pytest
 from rclpy.qos import LivelinessPolicy
-from rosbag2.tiny import cdr, make
+from rosbag2.tiny import cdr, make, STORE
+from rosbags.rosbag2 import Writer
 from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes.player_node import Player
 from shepherd_ros.nodes.player_options import PlayerOptions
@@ -110,6 +111,16 @@ def test_a_late_reader_gets_what_is_latched_of_every_publisher(
         heard = shared_graph.collect('/tf_like', String, LATCHED)
         shared_graph.until(lambda: len(heard) == 2, 'both')
         assert [message.data for message in heard] == ['A', 'B']
+
+
+def test_a_bag_in_sqlite_is_played(shared_graph: Graph, tmp_path: Path) -> None:
+    with Writer(tmp_path / 'bag', version=9) as writer:
+        connection = writer.add_connection('/lite', TEXT, typestore=STORE)
+        writer.write(connection, SECOND, cdr(make('String', data='lite')))
+    heard = shared_graph.collect('/lite', String, RELIABLE)
+    with playing(shared_graph, tmp_path / 'bag', wait=10.0):
+        shared_graph.until(lambda: heard, 'the message')
+    assert heard[0].data == 'lite'
 
 
 def test_one_message_again_and_again_is_no_flood(shared_graph: Graph, tmp_path: Path) -> None:

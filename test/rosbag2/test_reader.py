@@ -225,6 +225,8 @@ def test_bags_of_ros_1_become_cdr(tmp_path: Path) -> None:
     assert first == ('/map', 'std_msgs/msg/String', 5, 5, cdr(make('String', data='meadow')))
     assert last.data[4:16] == struct.pack('<iII', 3, 4, 6)
     assert last.data[-4:] == struct.pack('<i', 7)
+    ((_, encoding, written),) = bag.definitions['/sheep']
+    assert (encoding, b'uint32 seq' in written, b'int32 n' in written) == ('ros2msg', False, True)
     assert [t.qos[0].durability for t in bag.topics.values()] == ['transient_local', 'volatile']
     assert 'Storage id:        bag\n' in bag_info(bag).text()
 
