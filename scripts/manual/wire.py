@@ -33,7 +33,6 @@ A ray without a return is `+inf`, as
 """
 HIDDEN = ('use_sim_time', 'start_type_description_service')
 TYPES = {
-    'SetParameters': 'rcl_interfaces/srv/SetParameters',
     'SetBool': 'std_srvs/srv/SetBool',
     'Trigger': 'std_srvs/srv/Trigger',
 }
@@ -120,13 +119,9 @@ def _services_of(path: Path) -> Iterator[list[str]]:
         for part in ast.walk(ast.parse(text))
         if isinstance(part, ast.FunctionDef)
     }
-    for kind, service in re.findall(r"create_service\((\w+), f?'~/(\{?\w+\}?)'", text):
-        several = (
-            re.findall(r"\s\('(\w+)', self\.\w+\)", text) if service == '{name}' else [service]
-        )
-        for one in several:
-            meaning = {'start': 'Record.', 'stop': 'Stop recording.'}.get(one) or docs[one]
-            yield [code(f'/{node}/{one}'), code(TYPES[kind]), escaped(meaning.splitlines()[0])]
+    for kind, service in re.findall(r"create_service\((\w+), '~/(\w+)'", text):
+        meaning = {'start': 'Record.', 'stop': 'Stop recording.'}.get(service) or docs[service]
+        yield [code(f'/{node}/{service}'), code(TYPES[kind]), escaped(meaning.splitlines()[0])]
 
 
 def services() -> str:
@@ -134,8 +129,7 @@ def services() -> str:
     files = sorted(Path(nodes.__file__ or '').parent.glob('*.py'))
     rows = [row for path in files for row in _services_of(path)]
     intro = (
-        'Services use standard types only. A service of type `SetParameters` takes its arguments '
-        'as named values; its answer has a success and a reason for each. '
+        'Services use standard types only; what they need to know is in parameters. '
         'Examples: [](../how_to/realtime.md).'
     )
     return page('Services', intro, table(('service', 'type', 'meaning'), rows))
