@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal, TYPE_CHECKING
 
 from shepherd_ros.arguments import verb_group
+from shepherd_ros.cli.out_folders import made_folder
 from shepherd_ros.cli.user_error import UserError
 import tyro
 
@@ -138,14 +139,6 @@ def one_episode(bag: Path, namespace: str | None, number: int) -> RecordedEpisod
             f'`shepherd bag info {bag}` lists them'
         )
     return episode
-
-
-def made_folder(option: str, folder: Path) -> None:
-    """Make a folder unless it is there; raises UserError."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f'{option} is {folder}: expected a folder ({error.strerror})') from None
 
 
 @dataclass

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 from shepherd_ros.arguments import verb_group
+from shepherd_ros.cli.out_folders import made_folder
 from shepherd_ros.cli.user_error import UserError
 import tyro
 
@@ -95,6 +96,7 @@ class _RandomWeights:
             raise UserError(
                 f'--output is {self.output}: expected a name that ends in {CHECKPOINT_SUFFIX}'
             )
+        made_folder('--output', self.output.parent)
         torch.manual_seed(self.seed)
         record = {'command': f'shepherd checkpoint random --seed {self.seed}', 'trained': False}
         save_policy(self.output, Policy(PolicyConfig()), record)
@@ -116,6 +118,7 @@ class _Export:
         from shepherd_ros.policy.checkpoint import load_policy
         from shepherd_ros.policy.torchscript import export_actor
 
+        made_folder('--output', self.output.parent)
         difference = export_actor(load_policy(self.checkpoint), self.output)
         if difference > EXPORT_TOLERANCE:
             raise UserError(

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 from rich.progress import Progress
-from shepherd_ros.cli.bag_verbs import made_folder, one_episode
+from shepherd_ros.cli.bag_verbs import one_episode
 from shepherd_ros.cli.controllers import chosen
+from shepherd_ros.cli.out_folders import made_folder
 from shepherd_ros.cli.user_error import UserError
 import tyro
 

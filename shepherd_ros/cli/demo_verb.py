@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from shepherd_ros.bringup import Process, stack_in
+from shepherd_ros.cli.out_folders import made_folder
 from shepherd_ros.cli.processes import isolate, Running, running
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.experiments.setting_arguments import OneSetting
@@ -41,6 +42,7 @@ class Demo(OneSetting):
         """Run the demo; return the exit code."""
         setting = self._check()
         stack = stack_in(setting, self.controller, seed=self.seed, episodes=1, wait_for_scans=True)
+        made_folder('--out', self.out)
         isolate(os.environ)
         console = Console()
         console.print(

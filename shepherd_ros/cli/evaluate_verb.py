@@ -8,6 +8,7 @@ from typing import Annotated, Any, TYPE_CHECKING
 
 from rich.progress import Progress, TimeElapsedColumn, TimeRemainingColumn
 from shepherd_ros.cli.code import commit
+from shepherd_ros.cli.out_folders import made_folder
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.experiments.setting_arguments import ManySettings
 import tyro
@@ -72,10 +73,7 @@ class Evaluate(ManySettings):
             for task in plan(e.settings, e.controllers, self.seed, e.episodes)
         }
         mine = shard_of(list(tasks.values()), self.shard or f'{rank() + 1}/{ranks()}')
-        try:
-            self.out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UserError(f'--out is {self.out}: expected a folder ({error.strerror})') from None
+        made_folder('--out', self.out)
         rows = results_in(self.out)
         wait_for_all()  # a file that is read is not replaced meanwhile
         there = done_of(mine, rows)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TYPE_CHECKING
 
+from shepherd_ros.cli.out_folders import made_folder
 from shepherd_ros.cli.user_error import UserError
 import tyro
 
@@ -51,6 +52,7 @@ class Figures:
         from shepherd_ros.paper.verdicts import has_critic
         import torch
 
+        made_folder('--out', self.out)
         torch.set_num_threads(1)
         if not self.rows:
             raise UserError('figures needs rows: expected files or folders of shepherd evaluate')

@@ -6,9 +6,10 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Literal, TYPE_CHECKING
+from typing import Any, Literal, TYPE_CHECKING
 
 from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
+from shepherd_ros.cli.out_folders import own_folder
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.experiments.setting_arguments import OneSetting
 
@@ -24,7 +25,11 @@ class Record(OneSetting):
     """Run a controller in simulation and write every episode as a bag."""
 
     out: Path
-    """Folder of the bags, episode_<seed> each; those that are there already are kept."""
+    """Folder of the bags, episode_<seed> each; those of the same options are kept."""
+    resume: bool = False
+    """Go on in a folder that holds something else."""
+    overwrite: bool = False
+    """Delete the episodes that are in the folder."""
     controller: str = 'strombom'
     """Controller that commands the shepherds."""
     episodes: int = 100
@@ -44,11 +49,7 @@ class Record(OneSetting):
             if getattr(self, name) < 1:
                 raise UserError(f'--{name} is {getattr(self, name)}: expected at least 1')
         self.world = self.setting  # which other processes can be given
-        self.environment()  # refuses what cannot be, before any process starts
-        try:
-            self.out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UserError(f'--out is {self.out}: expected a folder ({error.strerror})') from None
+        own_folder(self.out, self.made_by(), self.resume, self.overwrite)
         from shepherd_ros.recordings.record import episode_folder
 
         seeds = range(self.seed, self.seed + self.episodes)
@@ -74,6 +75,14 @@ class Record(OneSetting):
                     progress.advance(task, future.result())
         print(f'{self.episodes} bags in {self.out}')
         return 0
+
+    def made_by(self) -> dict[str, Any]:
+        """Return what decides the episodes; refuses what cannot be, before any process starts."""
+        from shepherd_ros.experiments.methods import checkpoint_hash, full_name
+
+        name = full_name(self.controller)
+        world = self.environment()[0].to_dict()
+        return {'controller': name, 'checkpoint': checkpoint_hash(name), 'environment': world}
 
     def environment(self) -> tuple[EnvConfig, Controller]:
         """Return environment and controller, or raise ConfigError."""

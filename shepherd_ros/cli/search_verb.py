@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 import sys
 
+from shepherd_ros.cli.out_folders import made_folder
 from shepherd_ros.cli.user_error import UserError
 
 
@@ -47,6 +48,7 @@ class Search:
             tell = partial(print, file=sys.stderr)
             print(preset_scores(self.presets, self.episodes, tell=tell))
             return 0
+        made_folder('--out', self.out.parent)
         best = -1.0
         for number, tried in enumerate(
             search(self.out, self.seed, self.candidates, self.episodes), start=1

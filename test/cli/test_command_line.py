@@ -1,5 +1,7 @@
 """The command `shepherd` as a whole: version, help, running nodes, asking a running world."""
 
+import json
+from pathlib import Path
 import sys
 from typing import Any
 
@@ -34,3 +36,38 @@ def test_a_node_gets_the_words_after_its_name(
     assert got == [['lidar', '--ros-args', '-p', 'noise_std:=0.5']]
     assert main(['run', 'lidr']) == 2
     assert "node is 'lidr': expected one of" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    'words',
+    [
+        ['demo', '--steps', '10', '--out', '{}'],
+        ['record', '--episodes', '1', '--out', '{}'],
+        ['train', 'dagger', '--quick', '--out', '{}'],
+        ['search', '--candidates', '1', '--out', '{}/x.jsonl'],
+        ['evaluate', '--quick', '--out', '{}'],
+        ['figures', 'rows', '--out', '{}'],
+        ['checkpoint', 'random', '-o', '{}/x.safetensors'],
+        ['checkpoint', 'export', 'imitation', '-o', '{}/x.pt'],
+    ],
+)
+def test_a_folder_that_cannot_be_made_is_a_sentence(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / 'file'
+    file.touch()
+    assert main([word.format(file) for word in words]) == 2
+    assert f'is {file}: expected a folder (' in capsys.readouterr().err
+
+
+def test_episodes_of_other_options_do_not_go_into_the_same_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ['record', '--episodes', '1', '--steps', '2', '--sheep', '4', '--out', f'{tmp_path}']
+    assert main([*words, '--controller', 'pierson']) == 0
+    assert main([*words, '--controller', 'pierson']) == 0  # goes on
+    assert main([*words, '--controller', 'policy:general']) == 2
+    assert 'which holds something else: expected an empty folder' in capsys.readouterr().err
+    assert main([*words, '--controller', 'policy:general', '--overwrite']) == 0
+    made_by = json.loads((tmp_path / 'made_by.json').read_text())
+    assert made_by['controller'] == 'policy:general'

@@ -1,0 +1,44 @@
+"""Folders that verbs write into."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import json
+import os
+from pathlib import Path
+import shutil
+from typing import Any
+
+from shepherd_ros.cli.user_error import UserError
+
+MADE_BY = 'made_by.json'
+
+
+def made_folder(option: str, folder: Path) -> None:
+    """Make a folder unless it is there; UserError if it cannot be made or written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f'{option} is {folder}: expected a folder ({error.strerror})') from None
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise UserError(f'{option} is {folder}: expected a folder that can be written')
+
+
+def own_folder(folder: Path, made_by: Mapping[str, Any], resume: bool, overwrite: bool) -> None:
+    """
+    Make the folder of episodes that made_by describes; UserError if it holds something else.
+
+    resume goes on all the same, overwrite deletes the episodes that are there.
+    """
+    made_folder('--out', folder)
+    file, text = folder / MADE_BY, json.dumps(made_by, indent=2, sort_keys=True)
+    same = file.exists() and file.read_text(encoding='utf-8') == text
+    if any(folder.iterdir()) and not (same or resume or overwrite):
+        raise UserError(
+            f'--out is {folder}, which holds something else: expected an empty folder, or one of '
+            f'the same options, as {MADE_BY} has them; --resume goes on in it, --overwrite '
+            'deletes its episodes'
+        )
+    for path in folder.glob('episode_*') if overwrite else ():
+        shutil.rmtree(path)
+    file.write_text(text, encoding='utf-8')
