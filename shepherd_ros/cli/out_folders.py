@@ -11,7 +11,7 @@ from typing import Any
 
 from shepherd_ros.cli.user_error import UserError
 
-MADE_BY = 'made_by.json'
+MADE_BY = '.made_by.json'  # hidden, so that bags/* are bags
 
 
 def made_folder(option: str, folder: Path) -> None:

@@ -69,5 +69,5 @@ def test_episodes_of_other_options_do_not_go_into_the_same_folder(
     assert main([*words, '--controller', 'policy:general']) == 2
     assert 'which holds something else: expected an empty folder' in capsys.readouterr().err
     assert main([*words, '--controller', 'policy:general', '--overwrite']) == 0
-    made_by = json.loads((tmp_path / 'made_by.json').read_text())
+    made_by = json.loads((tmp_path / '.made_by.json').read_text())
     assert made_by['controller'] == 'policy:general'

@@ -107,7 +107,7 @@ def test_record_and_evaluate_take_the_same_options(tmp_path: Path) -> None:
     words = ['--sheep', '3', '--shepherds', '2', '--steps', '4', '--episodes', '1']
     words += ['--set', 'world.shepherd_speed=2', '--set', 'lidar.n_rays=64']
     assert main(['record', '--controller', 'idle', *words, '--out', str(tmp_path / 'bags')]) == 0
-    (episode,) = iter_episodes(open_bag(next((tmp_path / 'bags').iterdir())))
+    (episode,) = iter_episodes(open_bag(next((tmp_path / 'bags').glob('e*'))))
     setting = Setting(
         sheep=3, shepherds=2, steps=4, set=('world.shepherd_speed=2', 'lidar.n_rays=64')
     )
