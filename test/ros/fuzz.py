@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from copy import deepcopy
 import json
 from pathlib import Path
 import random
@@ -75,9 +76,9 @@ def episode(rng: random.Random) -> str:
         if chance < 0.1:
             del part[key]
         elif chance < 0.2:
-            part['x' * rng.choice([0, 1, 10_000])] = rng.choice(VALUES)
+            part['x' * rng.choice([0, 1, 10_000])] = deepcopy(rng.choice(VALUES))
         else:
-            part[key] = rng.choice([*VALUES, rng.randrange(1000), rng.random() * 100])
+            part[key] = deepcopy(rng.choice([*VALUES, rng.randrange(1000), rng.random() * 100]))
     text = json.dumps(data)
     if rng.random() < 0.02:
         text = rng.choice(['[' * 200_000, '{"a":' * 5_000, '9' * 5_000, '"' * 9, text * 2])
