@@ -13,7 +13,7 @@ from pkgutil import iter_modules
 from shepherd_ros.sim.flocking.flock_model import FLOCK_MODELS, FlockConfig, FlockModel
 
 __all__ = [
-    'BOTH',
+    'PAPER_FLOCKS',
     'flock_model',
     'FLOCK_MODELS',
     'FlockConfig',
