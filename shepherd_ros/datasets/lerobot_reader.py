@@ -54,6 +54,7 @@ class Dataset:
 
     folder: Path
     dt: float  # s
+    range_max: float  # m
     layout: ScanLayout
     labels: str  # namespace of the commands
     runs: dict[str, np.ndarray]  # columns (E,) of meta/episodes
@@ -94,6 +95,7 @@ class Dataset:
             n_sheep=row['n_sheep'],
             n_shepherds=row['n_shepherds'],
             dt=self.dt,
+            range_max=self.range_max,
             step=step[order],
             shepherd=shepherd[order],
             channels=self.layout.channels,
@@ -149,7 +151,8 @@ def open_dataset(folder: Path) -> Dataset:
             value = runs[name][odd][0]
             raise BagError(path, f'{name} is {value}, expected {low} to {high}', REBUILD_HINT)
     ends = np.cumsum(runs['length'])
-    found = Dataset(folder, about['dt'], about['layout'], about['labels'], runs, bags)
+    lidar = about['range_max'], about['layout']
+    found = Dataset(folder, about['dt'], *lidar, about['labels'], runs, bags)
     if not (
         (np.diff(found.files) >= 0).all()
         and np.array_equal(runs['episode_index'], count)
@@ -175,6 +178,9 @@ def _about(folder: Path) -> dict[str, Any]:
     dt, rays, labels = (about.get(name) for name in ('dt', 'n_rays', 'labels'))
     if not (isinstance(dt, float) and 0 <= dt <= 10 and isinstance(labels, str)):
         raise BagError(path, f'dt is {dt!r:.40} s and labels {labels!r:.40}', REBUILD_HINT)
+    range_max = about.setdefault('range_max', 0.0)
+    if not (isinstance(range_max, float) and 0 <= range_max <= 1e6):
+        raise BagError(path, f'range_max is {range_max!r:.40} m', REBUILD_HINT)
     if not (isinstance(rays, int) and 0 <= rays <= LARGEST_RAYS):
         raise BagError(path, f'n_rays is {rays!r:.40}, expected 0 to {LARGEST_RAYS}', REBUILD_HINT)
     channels = about.get('channels', list(PAPER_CHANNELS))

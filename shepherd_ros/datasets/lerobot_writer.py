@@ -57,7 +57,7 @@ class DatasetWriter:
             raise BagError(folder, 'it exists already', 'choose another folder or remove this one')
         self.folder, self.labels, self.file_size = folder, labels, file_size
         self.part = folder.with_name(f'.{folder.name}.part')
-        self.dt, self.layout = 0.0, ScanLayout(PAPER_CHANNELS, 0)
+        self.dt, self.range_max, self.layout = 0.0, 0.0, ScanLayout(PAPER_CHANNELS, 0)
         self.rows, self.runs, self.files, self.bags = 0, 0, 0, 0
         self._bag = ''
         self._in_file = 0  # [bytes]
@@ -99,13 +99,14 @@ class DatasetWriter:
         if not len(steps):
             return
         if not self.rows:
-            self.dt, self.layout = steps.dt, steps.layout
+            self.dt, self.range_max, self.layout = steps.dt, steps.range_max, steps.layout
             self._ranges = RunningStats(len(steps.channels))
-        if (steps.dt, steps.layout) != (self.dt, self.layout):
+        if (steps.dt, steps.range_max, steps.layout) != (self.dt, self.range_max, self.layout):
             raise BagError(
                 steps.where,
-                f'dt is {steps.dt} s and a scan has {steps.layout.n_rays} rays, '
-                f'expected {self.dt} s and {self.layout.n_rays} as in the bags before',
+                f'range_max is {steps.range_max} m, dt is {steps.dt} s and a scan has '
+                f'{steps.layout.n_rays} rays, expected {self.dt} s and {self.layout.n_rays} as in '
+                f'the bags before, and {self.range_max} m',
                 'build a data set of each kind',
             )
         self._ranges.add(steps.lidar.swapaxes(1, 2).reshape(-1, len(steps.channels)))
@@ -207,6 +208,7 @@ class DatasetWriter:
         }
         about = {
             'format': DATASET_FORMAT, 'version': __version__, 'dt': self.dt,
+            'range_max': self.range_max,
             'n_rays': self.layout.n_rays,
             'channels': list(self.layout.channels), 'labels': self.labels, 'bags': self.bags,
             'report': dict(report),

@@ -35,6 +35,7 @@ class Steps:
     lidar: NDArray[np.float32]  # (n, C, R) m, +inf for no return
     action: NDArray[np.float32]  # (n, 2) m/s, world frame
     channels: tuple[str, ...] = PAPER_CHANNELS  # C
+    range_max: float = 0.0  # m, of the lidar; 0 if it is not known
 
     def __len__(self) -> int:
         """Return how many there are."""
@@ -59,6 +60,7 @@ def steps_of(episode: RecordedEpisode, bag: str, number: int, refuse: Refuse) ->
     ConfigError where the lidar changes within the episode.
     """
     where, team = f'{bag}:{number}', episode.n_shepherds
+    range_max = _range_max(episode, where)
     _refuse_holes([frame.step for frame in episode.frames], team, where, refuse)
     kept: list[tuple[int, int, Ranges, NDArray[np.float32]]] = []
     for frame in episode.frames[:-1]:
@@ -85,9 +87,22 @@ def steps_of(episode: RecordedEpisode, bag: str, number: int, refuse: Refuse) ->
         step=np.array([row[0] for row in kept], np.int64),
         shepherd=np.array([row[1] for row in kept], np.int64),
         channels=episode.channels,
+        range_max=range_max,
         lidar=np.stack([row[2] for row in kept]).astype(np.float32) if kept else nothing,
         action=np.array([row[3] for row in kept], np.float32).reshape(-1, 2),
     )
+
+
+def _range_max(episode: RecordedEpisode, where: str) -> float:
+    """Return the range of the lidar [m], 0 without scans; raise ConfigError for what is none."""
+    lidars = set[tuple[float, float]]().union(*(frame.lidars for frame in episode.frames))
+    for _, angle_min in lidars:
+        if angle_min:
+            raise ConfigError(f'{where}: scans have angle_min {angle_min} rad, expected 0')
+    if len(lidars) > 1:
+        ranges = sorted(range_max for range_max, _ in lidars)
+        raise ConfigError(f'{where}: scans have range_max {ranges} m, expected one lidar')
+    return next(iter(lidars), (0.0, 0.0))[0]
 
 
 def _single(command: Floats | None) -> NDArray[np.float32] | None:

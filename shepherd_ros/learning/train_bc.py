@@ -43,6 +43,11 @@ def require_fit(steps: Steps, config: PolicyConfig) -> None:
     """Raise ConfigError if steps were recorded with another time step or lidar."""
     if steps.dt != config.dt:
         raise ConfigError(f'{steps.where}: dt is {steps.dt} s, expected {config.dt} s')
+    if steps.range_max and abs(steps.range_max - config.lidar.range_max) > 1e-3:
+        raise ConfigError(
+            f'{steps.where}: scans have range_max {steps.range_max} m, expected '
+            f'{config.lidar.range_max} m'
+        )
     if len(steps):
         steps.layout.require(config.lidar.layout, steps.where)
 

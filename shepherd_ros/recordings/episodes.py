@@ -34,6 +34,7 @@ class Frame:
     goal: Floats | None  # (2,) m, None if it was not recorded
     scans: list[Ranges | None]  # for each shepherd (C, R) m, +inf for no return
     commands: list[Floats | None]  # for each shepherd (2,) m/s
+    lidars: frozenset[tuple[float, float]] = frozenset()  # range_max m, angle_min rad of scans
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,7 @@ def episode_of(bag: Bag, group: RecordedGroup) -> RecordedEpisode:
                 goal=goals[place - 1][1] if place else None,
                 scans=[_scan(bag, group, step, state, h) for h in range(info.n_shepherds)],
                 commands=[state.commands.get(h) for h in range(info.n_shepherds)],
+                lidars=frozenset(state.lidars),
             )
         )
     about = {f.name: getattr(info, f.name) for f in fields(info)}

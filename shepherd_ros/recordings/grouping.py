@@ -42,6 +42,7 @@ class RecordedState:
     sheep: Poses | None = None
     shepherds: Poses | None = None
     scans: dict[tuple[int, str], Ranges] = field(default_factory=dict)  # by shepherd, channel
+    lidars: set[tuple[float, float]] = field(default_factory=set)  # range_max m, angle_min rad
     commands: dict[int, Floats] = field(default_factory=dict)  # by shepherd
     raw: dict[str, bytes] = field(default_factory=dict)  # poses and scans by topic, if kept
 
@@ -250,3 +251,4 @@ def _put(state: RecordedState, name: str, shepherd: int | None, content: Any) ->
         state.commands.setdefault(shepherd, content.xy)
     elif shepherd is not None:
         state.scans.setdefault((shepherd, name.removeprefix(SCANS)), content.ranges)
+        state.lidars.add((round(content.range_max, 3), round(content.angle_min, 5)))

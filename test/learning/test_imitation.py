@@ -116,6 +116,15 @@ def test_bags_that_do_not_fit_the_policy_are_refused(bags: Path, tmp_path: Path)
     with pytest.raises(ConfigError, match=r'dt is 0.5 s, expected 0.25 s'):
         list(stream_examples([bags], policy_of(other), Report()))
     few = replace(CONFIG, lidar=replace(CONFIG.lidar, n_rays=256))
+    episode, report = episode_of(bags), Report()
+    for lidars, told in (
+        ({(75.0, 1.57)}, 'angle_min 1.57 rad, expected 0'),
+        ({(75.0, 0.0), (30.0, 0.0)}, r'range_max \[30.0, 75.0\] m, expected one lidar'),
+        ({(30.0, 0.0)}, 'range_max 30.0 m, expected 75.0 m'),
+    ):
+        frames = [replace(frame, lidars=frozenset(lidars)) for frame in episode.frames]
+        with pytest.raises(ConfigError, match=told):
+            require_fit(steps_of(replace(episode, frames=frames), 'bag', 0, report.refuse), CONFIG)
     with pytest.raises(ConfigError, match='scans have 512 rays, expected 256'):
         list(stream_examples([bags], policy_of(few), Report()))
     with pytest.raises(ConfigError, match='expected a bag, a folder of bags'):
