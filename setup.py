@@ -72,6 +72,7 @@ setup(
         'fast': ['numba'],
         'envs': ['gymnasium', 'pettingzoo'],
         'sb3': ['gymnasium', 'pettingzoo', 'stable-baselines3'],
+        'onnx': ['onnx', 'onnxruntime'],
         'bench': ['vmas'],
         'docs': ['furo', 'myst-parser', 'sphinx', 'sphinx-copybutton'],
         'test': ['pytest'],

@@ -106,12 +106,12 @@ class _RandomWeights:
 
 @dataclass
 class _Export:
-    """Write the actor for other programs, as TorchScript, and check that it does the same."""
+    """Write the actor for other programs, as TorchScript or ONNX, and check its outputs."""
 
     checkpoint: CheckpointName
     """A file, or the name of a shipped one."""
     output: Annotated[Path, tyro.conf.arg(aliases=['-o'])]
-    """File to write, *.pt: frames (n, K, 3, R) m, newest last, to velocities (n, 2) m/s."""
+    """File to write, *.pt or *.onnx: frames (n, K, 3, R) m, newest last, to (n, 2) m/s."""
 
     def run(self) -> int:
         """Write it."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
+from shepherd_ros.config import ConfigError
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.observation import turned
 import torch
@@ -28,18 +30,44 @@ class PlainActor(nn.Module):
 
 
 def export_actor(policy: Policy, path: Path) -> float:
-    """Write the actor as TorchScript; return its largest difference from the policy [m/s]."""
-    shape = (2, policy.config.observation.n_frames, *policy.config.lidar.layout.shape)
+    """
+    Write the actor as ONNX (*.onnx) or TorchScript; return its largest difference [m/s].
+
+    The difference is from the policy, in a batch of another size than it was traced with.
+    """
+    shape = (policy.config.observation.n_frames, *policy.config.lidar.layout.shape)
     generator = torch.Generator().manual_seed(0)
 
     def readings(count: int) -> Tensor:
-        frames = 40 * torch.rand(count, *shape[1:], generator=generator)
+        frames = 40 * torch.rand(count, *shape, generator=generator)
         return torch.where(frames < 20, frames, torch.inf)
 
+    path.parent.mkdir(parents=True, exist_ok=True)
     with torch.no_grad():
-        traced = torch.jit.trace(PlainActor(policy), readings(2))
-        path.parent.mkdir(parents=True, exist_ok=True)
-        traced.save(str(path))
-        back = torch.jit.load(str(path))
-        frames = readings(7)  # another size than it was traced with
-        return float((back(frames) - policy.act(frames)).abs().max())
+        write = _write_onnx if path.suffix == '.onnx' else _write_torchscript
+        run = write(PlainActor(policy), readings(2), path)
+        frames = readings(7)
+        return float((run(frames) - policy.act(frames)).abs().max())
+
+
+def _write_torchscript(
+    actor: PlainActor, frames: Tensor, path: Path
+) -> Callable[[Tensor], Tensor]:
+    """Write TorchScript; return what runs it."""
+    torch.jit.trace(actor, frames).save(str(path))
+    return torch.jit.load(str(path))
+
+
+def _write_onnx(actor: PlainActor, frames: Tensor, path: Path) -> Callable[[Tensor], Tensor]:
+    """Write ONNX with input `frames` and output `velocities`; return what runs it."""
+    try:
+        import onnx  # noqa: F401
+        import onnxruntime
+    except ImportError as error:
+        raise ConfigError(f"{error}; install it: pip install '.[onnx]'") from None
+    torch.onnx.export(
+        actor, (frames,), str(path), input_names=['frames'], output_names=['velocities'],
+        dynamic_axes={'frames': {0: 'n'}, 'velocities': {0: 'n'}}, dynamo=False,
+    )  # fmt: skip
+    session = onnxruntime.InferenceSession(str(path), providers=['CPUExecutionProvider'])
+    return lambda x: torch.from_numpy(session.run(None, {'frames': x.numpy()})[0])

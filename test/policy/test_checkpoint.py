@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+import sys
 
 import pytest
 from safetensors import safe_open
@@ -21,6 +22,7 @@ from shepherd_ros.policy.checkpoint import (
 )
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
+from shepherd_ros.policy.torchscript import export_actor
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import ObservationConfig
 import torch
@@ -163,3 +165,16 @@ def test_a_card_of_an_odd_record_is_still_one(
     text = capsys.readouterr().out
     assert text.startswith('# Checkpoint `odd`')
     assert '\x1b' not in text
+
+
+def test_an_export_does_the_same_in_any_batch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policy = Policy(SMALL)
+    assert export_actor(policy, tmp_path / 'actor.pt') < 1e-5
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, 'onnxruntime', None)
+        with pytest.raises(ConfigError, match=r'install it: pip install .*onnx'):
+            export_actor(policy, tmp_path / 'actor.onnx')
+    pytest.importorskip('onnxruntime')
+    assert export_actor(policy, tmp_path / 'actor.onnx') < 1e-5
