@@ -24,6 +24,7 @@ from reference import (
     turned,
     World,
 )
+from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.controllers.controller import Memory
 from shepherd_ros.controllers.pierson import opening_for, PiersonConfig, push_share
@@ -395,3 +396,9 @@ def test_a_flock_may_be_degenerate() -> None:
                 assert command.isfinite().all(), name
                 assert heading_in(memory).isfinite().all(), name
                 assert (command.norm(dim=-1) <= 1 + 1e-6).all(), name
+
+
+def test_shares_of_the_push_are_within_one() -> None:
+    for name in ('weakest_push', 'strongest_push'):
+        with pytest.raises(ConfigError, match=rf'{name} is 1.5: expected a value in'):
+            PiersonConfig(**{name: 1.5})
