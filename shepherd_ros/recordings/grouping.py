@@ -79,12 +79,9 @@ def decoded(bag: Bag, message: BagMessage, kinds: Collection[str]) -> Any:
 
 def namespaces(bag: Bag) -> list[str]:
     """Return the namespaces that tell of episodes: [''] for most bags, [] for those of others."""
-    found = ((known(name), topic) for name, topic in bag.topics.items() if topic.count)
-    return [
-        ours.namespace
-        for ours, topic in found
-        if ours and ours.topic.name == EPISODE and topic.type in ours.types
-    ]
+    found = [known(name) for name, topic in bag.topics.items() if topic.count]
+    spaces = [one.namespace for one in found if one and one.topic.name == EPISODE]
+    return [space for space in spaces if bag.topics[f'{space}/{EPISODE}'].type == TEXT_TYPE]
 
 
 def announced(bag: Bag, namespace: str) -> list[tuple[int, Episode]]:
@@ -95,7 +92,7 @@ def announced(bag: Bag, namespace: str) -> list[tuple[int, Episode]]:
     """
     infos = []
     for message in bag.messages([f'{namespace}/{EPISODE}']):
-        text = decoded(bag, message, ['std_msgs/msg/String'])
+        text = decoded(bag, message, [TEXT_TYPE])
         try:
             infos.append((message.log_ns, Episode.from_json(text, goal_radius=0.0)))
         except ConfigError as error:
