@@ -35,6 +35,9 @@ EPISODE_PARTS = (*STATES, SCANS, COMMANDS, GOAL)
 CLOSING_STEP = 2  # an episode ends for good when the next one has a state with this step
 
 
+TEXT_TYPE = 'std_msgs/msg/String'  # of announcements
+
+
 @dataclass
 class RecordedState:
     """Messages of one state; the first of each topic counts."""
