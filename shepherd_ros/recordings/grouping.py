@@ -33,8 +33,6 @@ SCANS = scan_topic('')  # and the name of a channel
 STATES = (SHEEP_POSES, SHEPHERD_POSES)
 EPISODE_PARTS = (*STATES, SCANS, COMMANDS, GOAL)
 CLOSING_STEP = 2  # an episode ends for good when the next one has a state with this step
-
-
 TEXT_TYPE = 'std_msgs/msg/String'  # of announcements
 
 
@@ -82,17 +80,13 @@ def decoded(bag: Bag, message: BagMessage, kinds: Collection[str]) -> Any:
 
 def namespaces(bag: Bag) -> list[str]:
     """Return the namespaces that tell of episodes: [''] for most bags, [] for those of others."""
-    found = [known(name) for name, topic in bag.topics.items() if topic.count]
-    spaces = [one.namespace for one in found if one and one.topic.name == EPISODE]
-    return [space for space in spaces if bag.topics[f'{space}/{EPISODE}'].type == TEXT_TYPE]
+    topics = [t.name for t in bag.topics.values() if t.count and t.type == TEXT_TYPE]
+    found = [known(name) for name in topics]
+    return [one.namespace for one in found if one and one.topic.name == EPISODE]
 
 
 def announced(bag: Bag, namespace: str) -> list[tuple[int, Episode]]:
-    """
-    Return log time [ns] and content of all messages on the topic episode; raises BagError.
-
-    A goal_radius that is not there is 0.
-    """
+    """Return log times [ns] and episodes announced, goal_radius 0 if absent; raises BagError."""
     infos = []
     for message in bag.messages([f'{namespace}/{EPISODE}']):
         text = decoded(bag, message, [TEXT_TYPE])
