@@ -34,7 +34,7 @@ GLOBAL_TOPICS = {'/clock', '/diagnostics', '/tf'}  # whose names ROS 2 fixes
 ROSDEP = {'PIL': 'python3-pil'}  # where the key of rosdep is not python3-<package>
 WITH_PIP = {  # not from rosdep
     'gymnasium', 'imageio', 'lz4', 'mcap', 'numba', 'pettingzoo', 'plotly', 'pyarrow', 'rosbags',
-    'safetensors', 'stable_baselines3', 'torch', 'tyro', 'zstandard',
+    'onnx', 'onnxruntime', 'safetensors', 'stable_baselines3', 'torch', 'tyro', 'zstandard',
 }  # fmt: skip
 PYPI = {  # where the distribution has another name
     'PIL': 'pillow',
@@ -265,7 +265,7 @@ def test_manifest_names_what_is_imported(manifest: Any) -> None:
 def test_setup_names_what_is_imported(distribution: Any) -> None:
     extras = distribution.extras_require
     always = {re.split(r'[<>=\[]', name)[0] for name in distribution.install_requires}
-    chosen = extras['fast'] + extras['envs'] + extras['sb3']
+    chosen = [name for key in ('fast', 'envs', 'sb3', 'onnx') for name in extras[key]]
     optional = {re.split(r'[<>=\[]', name)[0] for name in chosen}
     for package in all_imports('shepherd_ros'):
         if not is_ros(package):
