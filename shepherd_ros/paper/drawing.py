@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 import numpy as np
-from PIL import Image
 from shepherd_ros.experiments.bootstrap import Array, mean_interval
 from shepherd_ros.experiments.methods import kind_of
 from shepherd_ros.policy.checkpoint import shipped_checkpoints
 from shepherd_ros.sim.metrics import METRICS
+from shepherd_ros.view.picture import write_small_png
 from shepherd_ros.view.scene import FAINT, GRID, INK
 
 # colour (of Okabe and Ito), line and marker of policies and others without a style of their own
@@ -58,11 +57,7 @@ def new_figure(rows: int, columns: int, width: float, height: float) -> tuple[Fi
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     """Write a figure as PNG and SVG, the same bytes for the same figure; return the files."""
     folder.mkdir(parents=True, exist_ok=True)
-    image = BytesIO()
-    figure.savefig(image, format='png')
-    picture = Image.open(image).convert('RGB')
-    small = picture.quantize(128, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-    small.save(folder / f'{name}.png', optimize=True)
+    write_small_png(figure, folder / f'{name}.png')
     with rc_context({'svg.hashsalt': name, 'svg.fonttype': 'none'}):
         figure.savefig(folder / f'{name}.svg', metadata={'Date': None})
     return [folder / f'{name}.png', folder / f'{name}.svg']

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +59,15 @@ def draw_tracks(
         figure.canvas.draw()
     rows = [np.asarray(figure.canvas.buffer_rgba())[..., :3] for figure in figures]
     Image.fromarray(np.concatenate(rows, axis=1)).save(path)
+
+
+def write_small_png(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG with a palette of 128 colours."""
+    image = BytesIO()
+    figure.savefig(image, format='png')
+    picture = Image.open(image).convert('RGB')
+    small = picture.quantize(128, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    small.save(path, optimize=True)
 
 
 def _figure(track: EpisodeTrack, scale: float, tracks: Sequence[EpisodeTrack]) -> Figure:
