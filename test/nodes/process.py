@@ -450,12 +450,12 @@ def twist(ns: int, x: float, y: float, frame_id: str = 'map') -> TwistStamped:
 def rollout(
     controller: str, config: EnvConfig, seed: int = 0, episodes: int = 1
 ) -> tuple[list[WorldState], list[dict[str, Tensor]]]:
-    """Return every state and its metrics, of whole episodes in a row, by env.step alone."""
+    """Return every state and its metrics, of episodes with seeds in a row, by env.step alone."""
     env = ShepherdEnv(config, 1, lidar=False)
-    env.reset(seed)
     law = make_controller(controller, config.world)
     states, metrics = [], []
-    for _ in range(episodes):
+    for episode in range(episodes):
+        env.reset(seed + episode)
         memory = law.begin(env.perceived)
         states.append(env.state)
         metrics.append(env.metrics())
