@@ -19,7 +19,8 @@ from statistics import median
 from typing import Any
 
 from shepherd_ros.learning.clone import CloneLearner, Examples
-from shepherd_ros.learning.dagger import DaggerConfig, LabelledWorlds
+from shepherd_ros.learning.dagger import LabelledWorlds
+from shepherd_ros.learning.dagger_config import DaggerConfig
 from shepherd_ros.learning.ppo import PPOConfig, PPOLearner
 from shepherd_ros.learning.ppo_rollout import Rollout
 from shepherd_ros.learning.task import TaskConfig

@@ -15,7 +15,8 @@ from shepherd_ros.cli.code import commit
 from shepherd_ros.cli.out_folders import made_folder
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.config import Config
-from shepherd_ros.learning.dagger import DaggerConfig, train_dagger
+from shepherd_ros.learning.dagger import train_dagger
+from shepherd_ros.learning.dagger_config import DaggerConfig
 from shepherd_ros.learning.distributed import device_index, rank, ranks
 from shepherd_ros.learning.ppo import PPOConfig
 from shepherd_ros.learning.run_folder import RunFolder

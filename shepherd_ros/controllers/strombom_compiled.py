@@ -141,9 +141,8 @@ def _strombom(
             course_x, course_y = unit_xy(to_x, to_y)
             speed = min(length(to_x, to_y) / dt, top)
             off_x, off_y = shepherds[b, h, 0] - x, shepherds[b, h, 1] - y
-            turn = wrap_angle(
-                bearing_xy(target[h, 0] - x, target[h, 1] - y) - bearing_xy(off_x, off_y)
-            )
+            aim = bearing_xy(target[h, 0] - x, target[h, 1] - y)
+            turn = wrap_angle(aim - bearing_xy(off_x, off_y))
             ahead = length(off_x + speed * dt * course_x, off_y + speed * dt * course_y)
             if abs(turn) > tolerance and ahead < radius:
                 d = length(off_x, off_y)

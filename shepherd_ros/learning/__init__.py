@@ -3,6 +3,7 @@
 __all__ = [
     'clone',
     'dagger',
+    'dagger_config',
     'distributed',
     'ppo',
     'ppo_rollout',

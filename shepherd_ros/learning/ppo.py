@@ -127,13 +127,8 @@ class PPOLearner:
         gain = batch.advantage
         target = gain + batch.value
         gain = normalised(gain)
-        scalars: dict[str, list[float]] = {
-            'actor_loss': [],
-            'critic_loss': [],
-            'kl': [],
-            'std': [],
-        }
-        acting = actor
+        names, acting = ('actor_loss', 'critic_loss', 'kl', 'std'), actor
+        scalars: dict[str, list[float]] = {name: [] for name in names}
         for _ in range(config.update_epochs):
             order = torch.randperm(size, generator=generator, device=generator.device)
             order = order.to(batch.value.device)

@@ -1,14 +1,9 @@
-"""
-Folder of a training run: its configuration, its curve, its state and its best policy.
-
-A state is saved before each evaluation, and after SIGTERM and Ctrl-C, when the running update is
-over. Whenever a run ends, the same command goes on with the same numbers as if it had not ended.
-"""
+"""Folder of a training run: its configuration, its curve, its state and its best policy."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 import fcntl
 import io
 import json
@@ -16,15 +11,12 @@ import math
 import os
 from pathlib import Path
 import pickle
-import signal
-import threading
-import time
-from typing import Any, Protocol
+from typing import Any
 
-from safetensors import SafetensorError
 from shepherd_ros.config import Config, ConfigError
-from shepherd_ros.learning.distributed import from_first, gathered, rank, ranks, total
-from shepherd_ros.learning.validation import validate
+from shepherd_ros.learning.distributed import from_first, gathered, rank, ranks
+from shepherd_ros.learning.durable_files import replace_file, writing
+from shepherd_ros.learning.trainer import Trainer
 from shepherd_ros.policy.checkpoint import read_checkpoint_metadata, save_policy
 from shepherd_ros.policy.policy import Policy
 import torch
@@ -35,60 +27,6 @@ STATE_ERRORS = (
     TypeError, ValueError,
 )  # fmt: skip
 LENGTHS = ('samples', 'rounds', 'epochs')  # options that a run may be given more of
-
-
-class Trainer(Protocol):
-    """What learns, update by update, and goes on from a state."""
-
-    config: Any  # with eval_episodes, eval_steps and the task
-    eval_freq: int  # updates from one evaluation to the next
-    policy: Policy
-    dtype: torch.dtype
-    progress: dict[str, Any]  # `updates`, `samples` and what else a line begins with
-
-    def share(self) -> float:
-        """Return which share of the whole is done; at least 1 at the end."""
-
-    def update(self, stopping: Callable[[], bool]) -> dict[str, float] | None:
-        """Learn once; return logged scalars, None if it stopped in between as it was told to."""
-
-    def averaged(self) -> Policy:
-        """Return the policy to evaluate and to keep."""
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return the state of the training."""
-
-    def load_state_dict(self, kept: dict[str, Any]) -> None:
-        """Restore the state that state_dict() returned."""
-
-
-@contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Raise ConfigError for what goes wrong while a file is written."""
-    try:
-        yield
-    except (OSError, RuntimeError, SafetensorError) as error:  # torch and a full disk: the second
-        raise ConfigError(
-            f'{path} cannot be written ({error!s:.200}): expected a folder with room; what was '
-            'there is kept, and the same command goes on from it'
-        ) from error
-
-
-def replace_file(path: Path, write: Callable[[Any], object]) -> None:
-    """Write a file beside and move it into place: the one before stays until it is whole."""
-    beside = path.with_suffix('.part')
-    with writing(path):
-        try:
-            with beside.open('wb') as file:
-                write(file)
-                file.flush()
-                os.fsync(file.fileno())
-            beside.replace(path)
-        finally:
-            beside.unlink(missing_ok=True)
-        folder = os.open(path.parent, os.O_RDONLY)
-        os.fsync(folder)
-        os.close(folder)
 
 
 def is_same(asked: Any, stored: Any) -> bool:
@@ -121,7 +59,7 @@ class RunFolder:
         self.folder, self.record = folder, {**record, 'config': config}
         self.best, self.best_score = folder / 'best.safetensors', -math.inf
         self.state, self.curve = folder / 'state.pt', folder / 'curve.jsonl'
-        self.seconds, self.signal, self.saved = 0.0, 0, False
+        self.seconds = 0.0  # that it took
         self._board: Any = None
         asked = folder / 'run.json'
         self.found = asked.exists()
@@ -158,7 +96,7 @@ class RunFolder:
             ) from error
 
     def _lock(self) -> None:
-        """Keep others out until train() is over or the process ends."""
+        """Keep others out until close(), or until the process ends."""
         with writing(self.folder):
             self.lock = (self.folder / 'lock').open('w')
         try:
@@ -169,38 +107,10 @@ class RunFolder:
                 'is over, or choose another --out'
             ) from None
 
-    def train(self, trainer: Trainer, on_line: Callable[[dict[str, Any]], None]) -> None:
-        """Go on where the run is, until all is done; on_line hears each line of the curve."""
-        with self._signals():
-            line = self.load(trainer)
-            if line is not None:
-                self._finish(trainer, line, on_line)
-            begun = time.monotonic() - self.seconds
-            while trainer.share() < 1:
-                seen = trainer.update(self.stopping)
-                self.seconds = time.monotonic() - begun
-                line, stop = None, self.stopping()
-                if seen is not None:
-                    self._require_finite(trainer, seen)
-                    share = trainer.share()
-                    line = {
-                        **trainer.progress,
-                        'seconds': self.seconds,
-                        'samples_per_second': trainer.progress['samples'] / self.seconds,
-                        'seconds_left': self.seconds * max(1 / share - 1, 0),
-                        **seen,
-                    }
-                if stop or self._due(trainer):
-                    self.save(trainer, line)
-                if stop:
-                    self._leave()
-                if line is not None and rank() == 0:
-                    self._finish(trainer, line, on_line)
-                    self.seconds = time.monotonic() - begun
-
-    def stopping(self) -> bool:
-        """Return whether a process was told to end; all processes ask at the same places."""
-        return total(float(self.signal > 0)) > 0
+    def close(self) -> None:
+        """Let others in."""
+        if rank() == 0:
+            self.lock.close()
 
     def load(self, trainer: Trainer) -> dict[str, Any] | None:
         """Go on from the state that was saved last; return the line that the curve lacks."""
@@ -249,68 +159,6 @@ class RunFolder:
         if rank() == 0:
             state = {'ranks': states, 'line': line, 'seconds': self.seconds}
             replace_file(self.state, lambda file: torch.save(state, file))
-
-    def _due(self, trainer: Trainer) -> bool:
-        """Return whether the policy is evaluated after this update."""
-        return trainer.share() >= 1 or trainer.progress['updates'] % trainer.eval_freq == 0
-
-    def _finish(
-        self, trainer: Trainer, line: dict[str, Any], on_line: Callable[[dict[str, Any]], None]
-    ) -> None:
-        """Evaluate where it is due, and write the line."""
-        if self._due(trainer):
-            self.saved, config, policy = True, trainer.config, trainer.averaged()
-            if self.signal:
-                self._leave()
-            results = validate(
-                policy, config.task, config.eval_episodes, config.eval_steps, trainer.dtype
-            )
-            self.saved = False
-            line |= self.keep_best(policy, results, line)
-        self.write(line)
-        on_line(line)
-
-    def _require_finite(self, trainer: Trainer, seen: Mapping[str, float]) -> None:
-        """Raise ConfigError for a learner that is broken; nothing of it is kept."""
-        wrong = [name for name, value in seen.items() if not math.isfinite(value)]
-        weights = trainer.policy.state_dict().items()
-        wrong += [name for name, weight in weights if not weight.isfinite().all()]
-        if wrong:
-            raise ConfigError(
-                f'{wrong[0]} is not finite after update {trainer.progress["updates"]}: expected '
-                f'numbers; lower the learning rates; {self.folder} keeps what was before'
-            )
-
-    @contextmanager
-    def _signals(self) -> Iterator[None]:
-        """Hear SIGINT and SIGTERM: the first waits for a state that can be saved."""
-
-        def hear(number: int, frame: Any) -> None:
-            again, self.signal = self.signal > 0, number
-            if again or self.saved:
-                self._leave()
-
-        there = threading.current_thread() is threading.main_thread()
-        numbers = (signal.SIGINT, signal.SIGTERM) if there else ()
-        heard = [n for n in numbers if signal.getsignal(n) is not signal.SIG_IGN]
-        before = {number: signal.signal(number, hear) for number in heard}
-        try:
-            yield
-        except RuntimeError:  # others have left while this process waited for them
-            if not self.signal:
-                raise
-            self._leave()
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
-            if rank() == 0:
-                self.lock.close()
-
-    def _leave(self) -> None:
-        """End as the signal asks for."""
-        if self.signal == signal.SIGINT:
-            raise KeyboardInterrupt
-        raise SystemExit(128 + (self.signal or signal.SIGTERM))
 
     def keep_best(
         self, policy: Policy, results: Mapping[str, float], progress: Mapping[str, Any]

@@ -15,6 +15,7 @@ from shepherd_ros.datasets.steps import Steps
 from shepherd_ros.learning.clone import CloneConfig, CloneLearner, Examples
 from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.task import TaskConfig
+from shepherd_ros.learning.training_loop import TrainingLoop
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.observation import turned
@@ -160,5 +161,5 @@ def train_bc(
     if the bags hold no example.
     """
     trainer = BCTrainer(policy, places, config)
-    run.train(trainer, on_line)
+    TrainingLoop(run, trainer, on_line).go_on()
     return trainer.report

@@ -19,6 +19,7 @@ from shepherd_ros.learning.ppo import PPOConfig, PPOLearner
 from shepherd_ros.learning.ppo_rollout import Rollout
 from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.task import TaskConfig
+from shepherd_ros.learning.training_loop import TrainingLoop
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.rng import mixed_seeds
@@ -134,5 +135,5 @@ def train_ppo(
     What is evaluated and kept is a running mean of the weights, which is steadier than the newest.
     """
     trainer = PPOTrainer(policy, config)
-    run.train(trainer, on_line)
+    TrainingLoop(run, trainer, on_line).go_on()
     return trainer.policy

@@ -25,6 +25,7 @@ def save_policy(path: Path, policy: Policy, record: Mapping[str, Any]) -> None:
     Write a policy; record says how it was made: command, seed, wall time, results, all plain data.
 
     The file is written beside and moved into place, so that a reader never sees half of it.
+    Raises OSError where that fails.
     """
     metadata = {
         'format': CHECKPOINT_FORMAT,
@@ -35,7 +36,10 @@ def save_policy(path: Path, policy: Policy, record: Mapping[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_suffix('.part')
     state = {name: value.contiguous() for name, value in policy.state_dict().items()}
-    save_file(state, beside, metadata)
+    try:
+        save_file(state, beside, metadata)
+    except SafetensorError as error:  # what it makes of a full disk
+        raise OSError(str(error)) from error
     beside.chmod(0o644)  # it is made for its owner alone, but goes into installations
     beside.replace(path)
 

@@ -12,8 +12,9 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.datasets.dataset_report import Report
 from shepherd_ros.datasets.examples import build_dataset
 from shepherd_ros.learning.clone import Examples
-from shepherd_ros.learning.dagger import DaggerConfig, LabelledWorlds
+from shepherd_ros.learning.dagger import LabelledWorlds
 from shepherd_ros.learning.dagger_bags import LABEL_NAMESPACE
+from shepherd_ros.learning.dagger_config import DaggerConfig
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.train_bc import stream_examples
 from shepherd_ros.policy.network import NetworkConfig

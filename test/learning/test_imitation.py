@@ -17,7 +17,8 @@ from shepherd_ros.datasets.examples import (
 )
 from shepherd_ros.datasets.steps import steps_of
 from shepherd_ros.learning.clone import CloneConfig, CloneLearner, Examples
-from shepherd_ros.learning.dagger import DaggerConfig, LabelledWorlds
+from shepherd_ros.learning.dagger import LabelledWorlds
+from shepherd_ros.learning.dagger_config import DaggerConfig
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.train_bc import require_fit, stream_examples
 from shepherd_ros.policy.network import NetworkConfig

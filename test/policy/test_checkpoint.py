@@ -11,7 +11,7 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
-from shepherd_ros.learning.dagger import DaggerConfig
+from shepherd_ros.learning.dagger_config import DaggerConfig
 from shepherd_ros.learning.train_ppo import PPORunConfig
 from shepherd_ros.policy.checkpoint import (
     checkpoint_file,
@@ -54,6 +54,12 @@ def test_a_policy_comes_back_as_it_was(checkpoint: Path) -> None:
     config, record, _ = read_checkpoint_metadata(checkpoint)
     assert (config, record) == (SMALL, {'command': 'none', 'seed': 3})
     assert [path.name for path in checkpoint.parent.iterdir()] == [checkpoint.name]
+
+
+def test_a_file_that_cannot_be_written_is_an_error_of_the_system(tmp_path: Path) -> None:
+    (tmp_path / 'best.part').mkdir()
+    with pytest.raises(OSError, match='directory'):
+        save_policy(tmp_path / 'best.safetensors', Policy(SMALL), {})
 
 
 def test_names_that_are_no_checkpoint_are_refused(tmp_path: Path) -> None:

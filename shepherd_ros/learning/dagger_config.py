@@ -1,0 +1,52 @@
+"""The configuration of DAgger: who teaches where, and how much is driven and learned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from shepherd_ros.config import Config, option, part
+from shepherd_ros.experiments.methods import full_name
+from shepherd_ros.learning.clone import CloneConfig
+from shepherd_ros.learning.task import TaskConfig
+
+
+@dataclass(frozen=True)
+class DaggerConfig(Config):
+    """A whole run; all are choices."""
+
+    seed: int = option(0, 'seed of weights, worlds and order', low=0)
+    teacher: str = option('drover', 'controller that is imitated; a policy as policy:CHECKPOINT')
+    reynolds_teacher: str = option('drover', 'the same for a Reynolds flock')
+    reynolds_home_teacher: str = option(
+        '', 'the same for one whose middle is near the goal; empty: reynolds_teacher'
+    )
+    home_distance: float = option(
+        8.0, 'how near the rim of the goal that is [m] (choice)', low=0.0
+    )
+    rounds: int = option(60, 'rounds of driving and learning', low=1)
+    teacher_rounds: int = option(6, 'first rounds, in which the teacher drives all worlds', low=0)
+    steps_per_round: int = option(40, 'steps of a round', low=1)
+    example_interval: int = option(4, 'steps from one example to the next', low=1)
+    groups: int = option(12, 'groups of worlds; those of one share what is drawn', low=1)
+    worlds: int = option(8, 'worlds of a group', low=1)
+    teacher_groups: int = option(1, 'groups that the teacher always drives', low=0)
+    buffer_size: int = option(200_000, 'examples that are kept, the newest', low=1)
+    eval_freq: int = option(10, 'rounds from one evaluation to the next', low=1)
+    eval_episodes: int = option(32, 'episodes of an evaluation', low=2)
+    eval_steps: int = option(1000, 'steps of these episodes', low=1)
+    bag_folder: str = option('', 'folder for bags of all that is driven, with labels; empty: none')
+    task: TaskConfig = part(TaskConfig)
+    clone: CloneConfig = part(CloneConfig)
+
+    def __post_init__(self) -> None:
+        """Check each field and the names of the teachers."""
+        super().__post_init__()
+        for name in filter(
+            None, (self.teacher, self.reynolds_teacher, self.reynolds_home_teacher)
+        ):
+            full_name(name)
+
+    def teachers(self, flock: str) -> tuple[str, str]:
+        """Return the teacher for a flock model, and that for one that is home if another is."""
+        here, home = f'{flock}_teacher', f'{flock}_home_teacher'
+        return getattr(self, here, self.teacher), getattr(self, home, '')
