@@ -63,9 +63,10 @@ def test_the_record_of_a_run_names_the_whole_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     small = ['--policy.lidar.n-rays', '64', '--policy.network.hidden', '4', '--batch-size', '8']
-    few = ['--rounds', '1', '--steps', '2', '--groups', '1', '--worlds', '1', '--batches', '1']
+    few = ['--rounds', '1', '--steps-per-round', '2', '--groups', '1', '--worlds', '1']
     out = tmp_path / 'run'
-    words = ['--out', str(out), *small, *few, '--eval-episodes', '2', '--eval-steps', '2']
+    few += ['--updates-per-round', '1', '--eval-episodes', '2', '--eval-steps', '2']
+    words = ['--out', str(out), *small, *few]
     path = SCRIPTS / 'train_dagger.py'
     monkeypatch.setattr(sys, 'argv', [str(path), *words])
     with pytest.raises(SystemExit) as end:
