@@ -14,6 +14,7 @@ from importlib.util import find_spec
 from itertools import count
 import os
 from pathlib import Path
+import signal
 import tempfile
 from typing import TYPE_CHECKING
 
@@ -36,6 +37,9 @@ os.environ |= {
     'ROS_PYTHON_CHECK_FIELDS': '1',
 }
 os.environ.pop('ROS_STATIC_PEERS', None)
+# what a shell lets its background jobs ignore would be ignored by the nodes of the tests, too
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 torch.set_num_threads(1)
 
 

@@ -88,8 +88,8 @@ def sources(places: Sequence[Path], labels: str = '') -> list[Source]:
         built = open_dataset(place)
         if built.labels != labels:
             raise ConfigError(
-                f'{place}: its labels are {built.labels!r}, expected {labels!r}; give --labels '
-                f'{built.labels!r}, or build it with --labels {labels!r}'
+                f'{place}: its labels are {built.labels!r:.60}, expected {labels!r}; give '
+                f'--labels {built.labels!r:.60}, or build it with --labels {labels!r}'
             )
         for name, part in built.bags():
             found.append(Source(name, partial(built_steps, built, part)))

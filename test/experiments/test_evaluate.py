@@ -152,7 +152,7 @@ def test_faults_reach_the_lidar_of_a_policy_and_fewer_rays_stand_for_their_neigh
     state = run_state()
     assert whole.read_ranges(state).isfinite().any()
     assert not blind.read_ranges(state).isfinite().any()
-    fine, seen = whole.read_ranges(state), coarse.look(state)
+    fine, seen = whole.read_ranges(state), coarse.read_ranges(state)
     assert seen.shape == fine.shape
     assert torch.equal(seen[..., ::8], fine[..., ::8])  # rays in common
     assert torch.equal(seen[..., 1:4], seen[..., :1].expand(*seen.shape[:-1], 3))

@@ -20,7 +20,10 @@ def test_a_cell_over_topics_has_the_metrics_of_the_batched_one(
 ) -> None:
     setting = Setting(sheep=12, shepherds=2, noise=0.3, steps=STEPS)
     name = 'policy:imitation' if controller == 'policy' else controller
-    expected = run_cell(Cell(setting, name, SEED, EPISODES)).to_pylist()
+    # a product of matrices may round otherwise for more rows: one world at a time for a policy
+    together = 1 if controller == 'policy' else EPISODES
+    cells = [Cell(setting, name, SEED + k, together) for k in range(0, EPISODES, together)]
+    expected = [row for cell in cells for row in run_cell(cell).to_pylist()]
 
     values = {metric: graph.collect(f'metrics/{metric}', Float64) for metric in METRICS}
     graph.host('metrics')

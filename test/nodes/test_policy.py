@@ -42,13 +42,13 @@ def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def expected_states(checkpoint: str, sample: bool, episodes: int = 1) -> list[WorldState]:
-    """Return all states of episodes in a row, by env.step alone."""
+    """Return all states of episodes with seeds in a row, by env.step alone."""
     world = replace(world_preset(), episode_steps=STEPS)
     env = ShepherdEnv(EnvConfig(world=world), 1, lidar=False)
-    env.reset(0)
     law = LearnedController(LearnedConfig(checkpoint=checkpoint, sample=sample), world)
     states = []
-    for _ in range(episodes):
+    for episode in range(episodes):
+        env.reset(episode)
         memory = law.begin(env.perceived)
         states.append(env.state)
         for _ in range(STEPS):

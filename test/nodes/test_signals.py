@@ -116,9 +116,9 @@ def test_a_freshly_started_python_ends_with_zero_on_two_signals(
 def test_a_signal_that_comes_as_the_interpreter_ends_does_not_change_the_exit_code() -> None:
     code = (
         'import os, sys\n'
-        'from shepherd_ros.ros.runtime import run, STOPS\n'
+        'from shepherd_ros.ros.runtime import run, STOP_SIGNALS\n'
         'class Last:\n'
-        '    def __del__(self, kill=os.kill, me=os.getpid(), stops=STOPS):\n'
+        '    def __del__(self, kill=os.kill, me=os.getpid(), stops=STOP_SIGNALS):\n'
         '        for number in stops: kill(me, number)\n'
         '        os.write(1, b"sent")\n'
         'last = Last()\n'
@@ -142,7 +142,7 @@ def test_a_node_that_dds_does_not_let_go_is_left_with_its_exit_code() -> None:
         'from shepherd_ros.ros import runtime\n'
         'class Stuck:\n'
         '    def destroy_node(self): time.sleep(60)\n'
-        'runtime.LET_GO = 0.1\n'
+        'runtime.DDS_SHUTDOWN_TIMEOUT = 0.1\n'
         "runtime.leave([Stuck()], 'lidar', 3)\n"
     )
     child = run_python(code)
