@@ -11,7 +11,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import NodeNameNonExistentError
 from shepherd_ros.nodes.pending_commands import CommandBuffer
-from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
+from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, UNNAMED, WARN
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.sim.limits import MAX_FLOAT32
 from shepherd_ros.wire.decode import decode_stamp, Vector
@@ -189,6 +189,8 @@ class FlockCommands:
         """Return a topic with who publishes it, and from whom those get the scans they need."""
         scans = set()
         for writer in self.node.get_publishers_info_by_topic(topic):
+            if writer.node_name == UNNAMED:
+                continue
             with suppress(NodeNameNonExistentError):
                 heard = self.node.get_subscriber_names_and_types_by_node(
                     writer.node_name, writer.node_namespace

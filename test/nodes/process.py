@@ -67,6 +67,7 @@ LATCHED = QoSProfile(
 
 FORKS = mp.get_context('forkserver')
 FORKS.set_forkserver_preload(['shepherd_ros.nodes.compose', 'rosgraph_msgs.msg'])
+PLUGINS = 'SHEPHERD_ROS_PLUGINS'
 
 
 @cache
@@ -104,14 +105,16 @@ def words_of(parameters: dict[str, Any]) -> list[str]:
     return words
 
 
-def _run(path: Path, words: list[str], output: Path, domain: int, fresh: bool) -> None:
+def _run(
+    path: Path, words: list[str], output: Path, domain: int, fresh: bool, plugins: str
+) -> None:
     """Become the executable, in a process group of its own."""
     os.setsid()
     ctypes.CDLL(None).prctl(DIE_WITH_PARENT, SIGKILL)
     with output.open('ab', buffering=0) as sink:
         os.dup2(sink.fileno(), 1)
         os.dup2(sink.fileno(), 2)
-    os.environ['ROS_DOMAIN_ID'] = str(domain)
+    os.environ |= {'ROS_DOMAIN_ID': str(domain), PLUGINS: plugins}
     if fresh:
         os.execv(path, [str(path), *words])
     faulthandler.register(SIGUSR1)
@@ -128,10 +131,15 @@ class Process:
         """Start it."""
         self.executable, self.output, self.fresh = executable, output, fresh
         output.touch()
+        plugins = os.environ.pop(PLUGINS, '')  # the server of forks would keep them for others
         self._process = FORKS.Process(
-            target=_run, args=(BIN / executable, words, output, domain, fresh), daemon=True
+            target=_run,
+            args=(BIN / executable, words, output, domain, fresh, plugins),
+            daemon=True,
         )
         self._process.start()
+        if plugins:
+            os.environ[PLUGINS] = plugins
         self.pid = int(self._process.pid or 0)
 
     def __str__(self) -> str:

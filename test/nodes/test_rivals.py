@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from itertools import pairwise
 import math
+from types import SimpleNamespace
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from nodes.process import BEST_EFFORT, Graph, LATCHED, nanoseconds
+import pytest
 from sensor_msgs.msg import LaserScan
 from shepherd_ros.nodes.flock_pacing import Pacing
+from shepherd_ros.ros.node import UNNAMED
 
 SMALL: dict[str, Any] = {'n_sheep': 5, 'n_shepherds': 1}
 
@@ -127,3 +130,13 @@ def test_a_rate_that_is_not_kept_is_told_and_a_jitter_is_not() -> None:
     assert 'expected 1' in [report(33.0 + k, k % 2, 1.0) for k in range(20)][-2]
     pacing.pause(True)
     assert report(60.0, 0, 20.0) == 'paused'
+
+
+def test_a_publisher_that_has_no_name_yet_is_said_so(
+    graph: Graph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sim = graph.host('flock_sim', **SMALL)
+    unknown = SimpleNamespace(node_name=UNNAMED, node_namespace='_NODE_NAMESPACE_UNKNOWN_')
+    monkeypatch.setattr(sim, 'get_publishers_info_by_topic', lambda topic: [unknown])
+    reason = sim.flock_commands._reason('shepherd_0/cmd_vel')
+    assert reason == 'shepherd_0/cmd_vel (a node not yet named)'
