@@ -134,9 +134,8 @@ def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None)
         print(f'{name}: {mistake}', file=sys.stderr)
     finally:
         leave(nodes, name, code)
-        for (
-            number
-        ) in STOP_SIGNALS:  # the end of Python gives handlers up; a second signal would kill
+        # the end of Python gives handlers up, so a second signal would kill
+        for number in STOP_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
     return code
 
