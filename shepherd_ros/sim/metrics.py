@@ -46,7 +46,7 @@ class Metric:
     title: str = ''  # on an axis; its name by default
     short: str = ''  # above a column; its name by default
     paper: bool = False
-    shown: Mapping[str, int] = field(default_factory=dict)  # PLACES -> order there
+    shown: Mapping[str, int] = field(default_factory=dict)  # SHOWN_IN -> order there
 
     def __post_init__(self) -> None:
         """Check the places, and fill in titles."""
@@ -66,7 +66,7 @@ METRICS: Registry[Metric] = Registry('metric')
 
 
 def shown(place: str) -> list[Metric]:
-    """Return the metrics that are shown at one of PLACES, in their order there."""
+    """Return the metrics that are shown at one of SHOWN_IN, in their order there."""
     found = [metric for metric in METRICS.values() if place in metric.shown]
     return sorted(found, key=lambda metric: metric.shown[place])
 
