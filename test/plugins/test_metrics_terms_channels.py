@@ -23,6 +23,7 @@ from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.sim.reward import RewardConfig
+from std_srvs.srv import SetBool
 
 FOLDER = Path(__file__).parent
 FILES = ','.join(str(FOLDER / name) for name in ('near.py', 'path.py', 'posts.py'))
@@ -161,14 +162,19 @@ def recorded(
     with named():
         recorder = graph.start_words('recorder', ['-o', str(bag)], fresh=True)
         graph.until_says(recorder, 'listening')
+        flock = graph.start('flock_sim', n_sheep=5, n_shepherds=2, episode_steps=STEPS, episodes=1)
+        assert graph.call('/flock_sim/pause', SetBool, SetBool.Request(data=True)).success
         rays = {'n_rays': 512, 'others': 'posts'}
         graph.start('lidar', fresh=True, shepherd_ids=[0, 1], **rays)
         graph.start('metrics', fresh=True)
         checkpoint = str(trained[0] / 'best.safetensors')
         graph.start('policy', fresh=True, shepherd_ids=[0, 1], checkpoint=checkpoint)
-    graph.until_says(recorder, 'recording /metrics/most_near ')
-    graph.until_says(recorder, 'recording /shepherd_1/scan/posts ')
-    flock = graph.start('flock_sim', n_sheep=5, n_shepherds=2, episode_steps=STEPS, episodes=1)
+    late = [f'/shepherd_{i}/{topic}' for i in (0, 1) for topic in ('scan/posts', 'cmd_vel')]
+    for topic in ('/metrics/most_near', *late):
+        graph.until_says(recorder, f'recording {topic} ')
+    track = graph.track()
+    graph.until(lambda: len(track.shown) > 2, 'a paused world shows its state')
+    assert graph.call('/flock_sim/pause', SetBool, SetBool.Request(data=False)).success
     graph.until(lambda: flock.code is not None, 'the episode ends', 2 * DEADLINE)
     graph.idle(1.0)
     recorder.stop()
