@@ -33,7 +33,7 @@ setup(
     name=NAME,
     version=MANIFEST.findtext('version'),
     packages=find_packages(exclude=['test', 'test.*']),
-    package_data={f'{NAME}.view': ['page*.css', 'page*.html', 'page*.js']},
+    package_data={f'{NAME}.view': ['*.css', '*.html', '*.js']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -55,7 +55,6 @@ setup(
         'mcap',
         'numpy',
         'pillow',
-        'plotly',
         'pyarrow',
         'pyyaml',
         'rich',

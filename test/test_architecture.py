@@ -33,7 +33,7 @@ IMPURE = {
 GLOBAL_TOPICS = {'/clock', '/diagnostics', '/tf'}  # whose names ROS 2 fixes
 ROSDEP = {'PIL': 'python3-pil'}  # where the key of rosdep is not python3-<package>
 WITH_PIP = {  # not from rosdep
-    'gymnasium', 'imageio', 'lz4', 'mcap', 'numba', 'pettingzoo', 'plotly', 'pyarrow', 'rosbags',
+    'gymnasium', 'imageio', 'lz4', 'mcap', 'numba', 'pettingzoo', 'pyarrow', 'rosbags',
     'onnx', 'onnxruntime', 'safetensors', 'stable_baselines3', 'torch', 'tyro', 'zstandard',
 }  # fmt: skip
 PYPI = {  # where the distribution has another name

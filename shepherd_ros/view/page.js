@@ -1,35 +1,81 @@
-// The controls, and the clock that moves plane and curves (see page_plane.js, page_curves.js).
+// The replay of the record of the page: its data, the controls, and the clock that moves plane and
+// curves (see plane.js, curves.js).
 'use strict';
 
+const RECORD = JSON.parse(find('record').textContent);
 const SPEEDS = [1, 2, 5].flatMap((d) => [-3, -2, -1, 0, 1, 2, 3].map((e) => Number(`${d}e${e}`)));
 const WATCHED = 25; // [s] in which an episode is over at the first speed, about
 const SLOWEST_FRAME = 0.25; // [s] a longer pause, as of a hidden page, counts as that
+const FREE = 65535;
+const TYPES = {
+  uint16: Uint16Array, int32: Int32Array, float32: Float32Array, float64: Float64Array,
+};
 
-// ---- time ----
+// ---- data ----
 
-// The index of the last time that is not after a moment, at least 0.
-function reached(times, moment) {
-  let [low, high] = [0, times.length];
-  while (high - low > 1) {
-    const middle = (low + high) >> 1;
-    if (times[middle] <= moment) low = middle; else high = middle;
-  }
-  return low;
+// Numbers that were packed: base64, zlib, then little-endian numbers of a type.
+async function unpack(pack) {
+  const text = atob(pack.data), bytes = new Uint8Array(text.length);
+  for (let k = 0; k < text.length; k++) bytes[k] = text.charCodeAt(k);
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream('deflate'));
+  return new TYPES[pack.type](await new Response(stream).arrayBuffer());
 }
 
-function nearest(times, moment) {
-  const k = reached(times, moment);
-  return k + 1 < times.length && times[k + 1] - moment < moment - times[k] ? k + 1 : k;
+// Coordinates that were rounded, as x0, y0, x1, y1, ...
+async function places(pack) {
+  const codes = await unpack(pack), metres = new Float64Array(codes.length);
+  for (let k = 0; k < codes.length; k++) metres[k] = pack.low + pack.step * codes[k];
+  return metres;
+}
+
+async function load() {
+  const names = ['times', 'steps', 'goal', 'inGoal'];
+  const [times, steps, goal, inGoal] = await Promise.all(names.map((n) => unpack(RECORD[n])));
+  const sheep = await places(RECORD.sheep), shepherds = await places(RECORD.shepherds);
+  const curves = await Promise.all(RECORD.curves.map(unpack));
+  const ranges = RECORD.lidar && await unpack(RECORD.lidar);
+  const n = RECORD.sheep.shape[1], team = RECORD.shepherds.shape[1];
+  return {times, steps, goal, inGoal, sheep, shepherds, curves, ranges, n, team};
+}
+
+const placesAt = (flat, count, step) => flat.subarray(2 * step * count, 2 * (step + 1) * count);
+
+// The moment of a step for the plane; seen says whose lidar and which channels.
+function momentAt(data, step, seen) {
+  const {sheep, shepherds, goal, n, team} = data, first = Math.max(0, step - RECORD.trail);
+  const trail = [];
+  for (let k = first; k <= step; k++) trail.push(placesAt(shepherds, team, k));
+  return {
+    sheep: placesAt(sheep, n, step), shepherds: trail.at(-1), trail,
+    goal: placesAt(goal, 1, step), goalRadius: RECORD.goalRadius,
+    rays: seen.lidar === null ? null : raysAt(data, step, seen),
+    held: seen.lidar === null ? [] : [RECORD.lidar.of[seen.lidar]],
+  };
+}
+
+function raysAt(data, step, seen) {
+  const [, count, channels, rays] = RECORD.lidar.shape, h = RECORD.lidar.of[seen.lidar];
+  const [x, y] = placesAt(data.shepherds, data.team, step).subarray(2 * h);
+  const ranges = (channel) => {
+    const start = ((step * count + seen.lidar) * channels + channel) * rays;
+    const metres = (code) => (code === FREE ? Infinity : code * RECORD.lidar.step);
+    return Array.from(data.ranges.subarray(start, start + rays), metres);
+  };
+  const shown = seen.channels.map((channel) => ({
+    ranges: ranges(channel), color: RECORD.colors.rays[channel], hit: RECORD.colors.hits[channel],
+  }));
+  return {x, y, pitch: RECORD.lidar.pitch, channels: shown};
+}
+
+// How many decimals tell a step of time, at least 1 and at most 4.
+function exact(step) {
+  const enough = (n) => Math.abs(step * 10 ** n - Math.round(step * 10 ** n)) < 1e-6;
+  return [1, 2, 3].find(enough) ?? 4;
 }
 
 // ---- controls ----
 
-function makeLegend(shown, changed) {
-  for (const mark of document.querySelectorAll('[data-color]')) {
-    const color = COLORS[mark.dataset.color];
-    mark.style.background = Array.isArray(color) ? color[0] : color;
-    if (mark.dataset.edge) mark.style.borderColor = COLORS[mark.dataset.edge];
-  }
+function makeLegend(seen, changed) {
   find('center').hidden = RECORD.sheep.shape[1] === 1;
   find('lidar').hidden = !RECORD.lidar;
   if (!RECORD.lidar) return;
@@ -41,14 +87,14 @@ function makeLegend(shown, changed) {
     const label = element('label', find('channels'));
     const box = element('input', label);
     Object.assign(box, {type: 'checkbox', checked: true, value: channel});
-    element('i', label, '', 'ray').style.background = COLORS.rays[channel];
+    element('i', label, '', 'ray').style.background = RECORD.colors.rays[channel];
     label.append(name);
     return box;
   });
   const read = () => {
-    shown.lidar = whose.value === '' ? null : Number(whose.value);
-    shown.channels = boxes.filter((box) => box.checked).map((box) => Number(box.value));
-    boxes.forEach((box) => { box.disabled = shown.lidar === null; });
+    seen.lidar = whose.value === '' ? null : Number(whose.value);
+    seen.channels = boxes.filter((box) => box.checked).map((box) => Number(box.value));
+    boxes.forEach((box) => { box.disabled = seen.lidar === null; });
     changed();
   };
   find('lidar').addEventListener('change', read);
@@ -69,28 +115,39 @@ function makeSpeeds(times) {
   return () => Number(menu.value);
 }
 
+function makeCurves(data, show) {
+  find('panel').hidden = !data.curves.length;
+  if (!data.curves.length) return null;
+  const curves = new Curves(find('panel'), RECORD.curves, (t) => show(nearest(data.times, t)));
+  curves.set(data.times, data.curves);
+  return curves;
+}
+
+let PLANE = null;
+
 async function start() {
   const data = await load(), {times, steps, inGoal, n} = data, last = times.length - 1;
-  const shown = {step: 0, lidar: null, channels: []};
+  const seen = {lidar: null, channels: []};
   const scrub = find('scrub'), play = find('play'), total = steps.at(-1);
   const speed = makeSpeeds(times);
   const precision = last ? exact(times[1] - times[0]) : 1;
-  let playing = false, moment = times[0], then = 0, frame = 0;
+  let playing = false, at = 0, moment = times[0], then = 0, frame = 0;
 
-  const plane = await makePlane(data, shown);
-  const moveCursor = await makeCurves(data, (step) => show(step));
+  PLANE = new Plane(find('plane'));
+  PLANE.ground.fit(RECORD.limits);
+  const repaint = () => PLANE.show(momentAt(data, at, seen));
   const show = (step, now = times[step]) => {
-    shown.step = step;
+    at = step;
     moment = now;
     scrub.value = step;
     const share = `${Math.floor(100 * inGoal[step] / n)} % in the goal`;
     find('clock').textContent = `${times[step].toFixed(precision)} s`;
     find('count').textContent = `step ${steps[step]} of ${total}, ${share}`;
     scrub.setAttribute('aria-valuetext', find('clock').textContent);
-    plane.repaint();
-    plane.follow(!playing);
-    moveCursor(step);
+    repaint();
+    curves?.point(step);
   };
+  const curves = makeCurves(data, show);
   const set = (on) => {
     playing = on && last > 0;
     play.classList.toggle('playing', playing);
@@ -100,17 +157,17 @@ async function start() {
       then = performance.now();
       frame = requestAnimationFrame(tick);
     }
-    show(playing && shown.step === last ? 0 : shown.step);
+    show(playing && at === last ? 0 : at);
   };
   const tick = (now) => {
     const passed = Math.min(SLOWEST_FRAME, Math.max(0, (now - then) / 1000));
     then = now;
     moment += speed() * passed;
     const step = reached(times, moment);
-    if (step !== shown.step) show(step, moment);
+    if (step !== at) show(step, moment);
     if (step === last) set(false); else frame = requestAnimationFrame(tick);
   };
-  const jump = (by) => show(Math.min(last, Math.max(0, shown.step + by)));
+  const jump = (by) => show(Math.min(last, Math.max(0, at + by)));
 
   scrub.max = last;
   for (const control of [scrub, play, find('back'), find('ahead')]) control.disabled = !last;
@@ -119,7 +176,18 @@ async function start() {
   for (const [name, by] of [['back', -1], ['ahead', 1]]) {
     find(name).addEventListener('click', () => { set(false); jump(by); });
   }
-  let pointed = false; // keys go to the replay after a click
+  listenToKeys({
+    ' ': () => set(!playing), ArrowLeft: (far) => jump(-far), ArrowRight: (far) => jump(far),
+    Home: () => show(0), End: () => show(last),
+  }, () => set(false));
+  makeLegend(seen, repaint);
+  show(0);
+  document.body.dataset.ready = 'yes';
+}
+
+// Keys go to the replay, too, after a click on a control.
+function listenToKeys(acts, rest) {
+  let pointed = false;
   document.addEventListener('pointerdown', () => { pointed = true; });
   for (const kind of ['click', 'change']) {
     document.addEventListener(kind, ({target}) => {
@@ -128,23 +196,15 @@ async function start() {
     });
   }
   document.addEventListener('keydown', (event) => {
-    const far = event.shiftKey ? 10 : 1, {key, target} = event;
+    const {key, target} = event;
     pointed = false;
     if (event.ctrlKey || event.altKey || event.metaKey || target.closest('select')) return;
     if (key === ' ' && target.closest('button, [type=checkbox]')) return; // their own key
-    const acts = {
-      ' ': () => set(!playing), ArrowLeft: () => jump(-far), ArrowRight: () => jump(far),
-      Home: () => show(0), End: () => show(last),
-    };
     if (!acts[key]) return;
     event.preventDefault();
-    if (key !== ' ') set(false);
-    acts[key]();
+    if (key !== ' ') rest();
+    acts[key](event.shiftKey ? 10 : 1);
   });
-  new ResizeObserver(() => moveCursor(shown.step)).observe(find('panel'));
-  makeLegend(shown, plane.repaint);
-  show(0);
-  document.body.dataset.ready = 'yes';
 }
 
 start().catch((error) => {

@@ -14,40 +14,20 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from plotly.offline import get_plotlyjs
 from shepherd_ros.config import ConfigError
 from shepherd_ros.sim.lidar_layout import channel_of
 from shepherd_ros.view.animation import TRAIL
+from shepherd_ros.view.look import beside, drawing, style
 from shepherd_ros.view.packing import packed, quantum, rounded
-from shepherd_ros.view.scene import (
-    FAINT,
-    GOAL_COLOR,
-    GOAL_FILL,
-    GRID,
-    INK,
-    SHEEP_COLOR,
-    sheep_size,
-    SHEPHERD_COLORS,
-    view_limits,
-)
+from shepherd_ros.view.scene import view_limits
 from shepherd_ros.view.track import EpisodeTrack
 
 _Ranges = NDArray[np.float32]
 
-SCRIPTS = ('page_plane.js', 'page_curves.js', 'page.js')  # in this order
 MOST_STEPS = 20_000  # in a page; of a longer episode fewer are shown
 MOST_PLACES = 3_000_000  # coordinates in a page, steps x bodies x 2
 MOST_RANGES = 32_000_000  # numbers of rays in a page
 MOST_BYTES = 8_000_000  # of text for the rays
-PAGE_COLORS = {
-    'sheep': SHEEP_COLOR,
-    'goal': GOAL_COLOR,
-    'goalFill': GOAL_FILL,
-    'ink': INK,
-    'faint': FAINT,
-    'grid': GRID,
-    'shepherds': SHEPHERD_COLORS,
-}
 
 
 @dataclass(frozen=True)
@@ -74,7 +54,7 @@ def write_page(
     metrics are (T,) each, NaN where there is no value; units are theirs by name. ranges (T, H, C,
     R) m are those of all shepherds, +inf on free rays; without them the page shows those of the
     track, if it has any.
-    A file of more than about 15 MB is avoided: of long episodes and large teams the page has
+    A file of more than about 10 MB is avoided: of long episodes and large teams the page has
     every so many steps and rays only, and says so. title is by default that of the track.
     """
     path = Path(path)
@@ -88,17 +68,11 @@ def write_page(
         'title': html.escape(heading or 'Shepherding episode'),
         'facts': html.escape(facts(track)),
         'notes': html.escape(' '.join(record.pop('notes'))),
-        'style': beside('page.css'),
-        'scripts': '\n'.join(map(beside, SCRIPTS)),
-        'plotly': get_plotlyjs(),
+        'style': style() + beside('page.css'),
+        'scripts': drawing() + beside('page.js'),
         'record': json.dumps(record, allow_nan=False).replace('<', r'\u003c'),
     }
     path.write_text(Template(beside('page.html')).substitute(parts), encoding='utf-8')
-
-
-def beside(name: str) -> str:
-    """Return the text of a file beside this one."""
-    return Path(__file__).with_name(name).read_text(encoding='utf-8')
 
 
 def facts(track: EpisodeTrack) -> str:
@@ -145,8 +119,7 @@ def page_record(
             {'name': name.replace('_', ' '), 'unit': units.get(name, '')} | packed(values[steps])
             for name, values in curves.items()
         ],
-        'colors': PAGE_COLORS | {'rays': [c.color for c in drawn], 'hits': [c.hit for c in drawn]},
-        'sheepSize': sheep_size(track.sheep.shape[1]),
+        'colors': {'rays': [c.color for c in drawn], 'hits': [c.hit for c in drawn]},
         'trail': TRAIL,
         'lidar': None,
     }

@@ -23,12 +23,15 @@ FLAGS = (
 )  # fmt: skip
 PATIENCE = 20.0  # [s] for anything to happen
 PIXEL = """
-const [x, y, beside] = arguments, box = document.getElementById('plane');
-const {xaxis, yaxis} = box._fullLayout, dots = window.devicePixelRatio;
-const column = xaxis._offset + xaxis.d2p(x) + beside, row = yaxis._offset + yaxis.d2p(y);
+const [x, y, beside] = arguments, {ground, canvas} = PLANE, dots = window.devicePixelRatio;
+const column = ground.X(x) + beside, row = ground.Y(y);
 const one = new OffscreenCanvas(1, 1).getContext('2d', {willReadFrequently: true});
-one.drawImage(box.querySelector('canvas'), -Math.floor(column * dots), -Math.floor(row * dots));
+one.drawImage(canvas, -Math.floor(column * dots), -Math.floor(row * dots));
 return Array.from(one.getImageData(0, 0, 1, 1).data);
+"""
+WINDOW = """
+const {left, top} = PLANE.canvas.getBoundingClientRect(), [x, y] = arguments;
+return [left + PLANE.ground.X(x), top + PLANE.ground.Y(y)];
 """
 GO = """
 const slider = document.getElementById('scrub');
@@ -89,15 +92,18 @@ class Reader:
     def step(self) -> int:
         return int(self.find('#scrub').get_property('value'))
 
-    def traces(self) -> list[np.ndarray]:
-        """Return where the traces have sheep and shepherds, (N, 2) and (H, 2) m."""
-        both = self.run("return document.getElementById('plane').data.map((t) => [t.x, t.y])")
-        return [np.array(places, dtype=float).T.reshape(-1, 2) for places in both]
+    def painted(self) -> list[np.ndarray]:
+        """Return where sheep and shepherds are painted, (N, 2) and (H, 2) m."""
+        both = self.run('const m = PLANE.moment; return [m.sheep, m.shepherds].map((p) => [...p])')
+        return [np.array(places, dtype=float).reshape(-1, 2) for places in both]
 
-    def shows(self, places: list[np.ndarray]) -> bool:
-        """Return whether the traces are at places, but for what is rounded."""
-        pairs = zip(self.traces(), places, strict=True)
-        return all(a.shape == b.shape and np.allclose(a, b, atol=0.001) for a, b in pairs)
+    def pixel(self, place: np.ndarray) -> list[float]:
+        """Return where in the window a place in metres is painted, px."""
+        return self.run(WINDOW, float(place[0]), float(place[1]))
+
+    def zoom(self) -> float:
+        """Return how many px a metre has."""
+        return self.run('return PLANE.ground.scale')
 
     def color(self, place: np.ndarray, beside: float = 0) -> str:
         """Return the colour painted at a place in metres, px to its right; '' where none is."""

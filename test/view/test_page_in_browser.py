@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 import pytest
 from selenium import webdriver
 from selenium.webdriver import ActionChains, Keys
+from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
 from shepherd_ros.sim.lidar_layout import CHANNELS
@@ -23,8 +24,8 @@ pytestmark = pytest.mark.xdist_group('browser')  # one browser for all
 HITS = [channel.hit for channel in CHANNELS.values()]
 LAST = 200  # step
 AREA = """
-const box = document.getElementById('curves'), {l, w} = box._fullLayout._size;
-return [box.getBoundingClientRect().left + l, w];
+const {left, width} = document.querySelector('.plot').getBoundingClientRect();
+return [left + LEFT, width - LEFT - RIGHT];
 """
 
 
@@ -99,7 +100,8 @@ def test_scrubbing_to_the_end_shows_the_last_state(page: Reader) -> None:
     assert page.step() == LAST
     share = 100 * int(TRACK.in_goal[-1]) // 12
     assert page.find('#count').text == f'step {LAST} of {LAST}, {share} % in the goal'
-    page.until(lambda: page.shows([TRACK.sheep[-1], TRACK.shepherds[-1]]), 'the traces follow')
+    for drawn, places in zip(page.painted(), (TRACK.sheep, TRACK.shepherds), strict=True):
+        assert_allclose(drawn, places[-1], atol=0.001)
 
 
 @pytest.mark.parametrize('step', [0, 77, LAST])
@@ -177,29 +179,30 @@ def test_keys(page: Reader) -> None:
 
 
 def test_what_is_painted_stays_in_place_when_the_plane_is_moved_and_enlarged(page: Reader) -> None:
-    span = "return document.getElementById('plane')._fullLayout.xaxis.range"
-    plane, before = page.find('#plane'), page.run(span)
+    place, plane = TRACK.sheep[0, 0], page.find('#plane')
+    before, zoom = page.pixel(place), page.zoom()
     ActionChains(page.driver).drag_and_drop_by_offset(plane, 60, 30).perform()
-    page.until(lambda: page.run(span)[0] < before[0] - 1, 'the plane has moved')
-    assert page.color(TRACK.sheep[0, 0]) == SHEEP_COLOR
-    page.find('.modebar-btn[data-val="out"]').click()
-    page.until(lambda: np.ptp(page.run(span)) > 1.2 * np.ptp(before), 'it is smaller')
-    assert page.color(TRACK.sheep[0, 0]) == SHEEP_COLOR
-    page.find('.modebar-btn[data-val="reset"]').click()
-    page.until(lambda: np.allclose(page.run(span), before), 'it is as it was')
+    assert_allclose(np.subtract(page.pixel(place), before), [60, 30], atol=1)
+    assert page.color(place) == SHEEP_COLOR
+    page.find('[aria-label="Zoom out"]').click()
+    assert page.zoom() == pytest.approx(zoom / 1.3)
+    assert page.color(place) == SHEEP_COLOR
+    wheel = ScrollOrigin.from_viewport(*map(round, page.pixel(place)))
+    ActionChains(page.driver).scroll_from_origin(wheel, 0, -200).perform()
+    page.until(lambda: page.zoom() > zoom, 'it is enlarged')
+    assert_allclose(page.pixel(place), [wheel.x_offset, wheel.y_offset], atol=1)
+    page.find('[aria-label="Fit all in view"]').click()
+    assert (page.pixel(place), page.zoom()) == (before, zoom)
 
 
 def test_a_sheep_tells_its_place(page: Reader) -> None:
-    page.until(lambda: page.shows([TRACK.sheep[0], TRACK.shepherds[0]]), 'the traces follow')
-    box = page.run(
-        "const box = document.getElementById('plane'), {xaxis, yaxis} = box._fullLayout;"
-        'const {left, top} = box.getBoundingClientRect();'
-        'return [left + xaxis._offset + xaxis.d2p(-25), top + yaxis._offset + yaxis.d2p(20)]'
-    )
-    page.point(*box).perform()
-    told = "return document.querySelector('#plane .hoverlayer').textContent"
-    page.until(lambda: 'sheep 0' in page.run(told), 'it tells its name')
-    assert '25.00 m, 20.00 m' in page.run(told)
+    tip = page.find('#plane .tip')
+    page.point(*page.pixel(np.array([-25.0, 20.0]))).perform()
+    assert tip.text == 'sheep 0\n-25.00 m, 20.00 m'
+    page.press(Keys.ARROW_RIGHT)  # it goes on its way, and the pointer stays
+    assert tip.text == f'sheep 0\n-25.00 m, {TRACK.sheep[1, 0, 1]:.2f} m'
+    page.point(*page.pixel(np.array([-15.0, -19.0]))).perform()
+    assert not tip.is_displayed()
 
 
 # ---- sizes ----
@@ -226,7 +229,8 @@ def test_odd_sizes_and_small_windows(
         reader.press(Keys.END)
         assert reader.step() == steps - 1
         last = [track.sheep[-1], track.shepherds[-1]]
-        reader.until(lambda: reader.shows(last), 'the traces follow')
+        for drawn, places in zip(reader.painted(), last, strict=True):
+            assert_allclose(drawn, places, atol=0.001)
         for control in ('#play', '#scrub', '#clock', '#speed'):
             rect = reader.find(control).rect
             assert 0 <= rect['x'] <= rect['x'] + rect['width'] <= wide
