@@ -1,71 +1,11 @@
-// The replay of the record of the page: its data, the controls, and the clock that moves plane and
-// curves (see plane.js, curves.js).
+// The replay of the record of the page: the controls, and the clock that moves plane and
+// curves (see record.js, plane.js, curves.js).
 'use strict';
 
 const RECORD = JSON.parse(find('record').textContent);
 const SPEEDS = [1, 2, 5].flatMap((d) => [-3, -2, -1, 0, 1, 2, 3].map((e) => Number(`${d}e${e}`)));
 const WATCHED = 25; // [s] in which an episode is over at the first speed, about
 const SLOWEST_FRAME = 0.25; // [s] a longer pause, as of a hidden page, counts as that
-const FREE = 65535;
-const TYPES = {
-  uint16: Uint16Array, int32: Int32Array, float32: Float32Array, float64: Float64Array,
-};
-
-// ---- data ----
-
-// Numbers that were packed: base64, zlib, then little-endian numbers of a type.
-async function unpack(pack) {
-  const text = atob(pack.data), bytes = new Uint8Array(text.length);
-  for (let k = 0; k < text.length; k++) bytes[k] = text.charCodeAt(k);
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream('deflate'));
-  return new TYPES[pack.type](await new Response(stream).arrayBuffer());
-}
-
-// Coordinates that were rounded, as x0, y0, x1, y1, ...
-async function places(pack) {
-  const codes = await unpack(pack), metres = new Float64Array(codes.length);
-  for (let k = 0; k < codes.length; k++) metres[k] = pack.low + pack.step * codes[k];
-  return metres;
-}
-
-async function load() {
-  const names = ['times', 'steps', 'goal', 'inGoal'];
-  const [times, steps, goal, inGoal] = await Promise.all(names.map((n) => unpack(RECORD[n])));
-  const sheep = await places(RECORD.sheep), shepherds = await places(RECORD.shepherds);
-  const curves = await Promise.all(RECORD.curves.map(unpack));
-  const ranges = RECORD.lidar && await unpack(RECORD.lidar);
-  const n = RECORD.sheep.shape[1], team = RECORD.shepherds.shape[1];
-  return {times, steps, goal, inGoal, sheep, shepherds, curves, ranges, n, team};
-}
-
-const placesAt = (flat, count, step) => flat.subarray(2 * step * count, 2 * (step + 1) * count);
-
-// The moment of a step for the plane; seen says whose lidar and which channels.
-function momentAt(data, step, seen) {
-  const {sheep, shepherds, goal, n, team} = data, first = Math.max(0, step - RECORD.trail);
-  const trail = [];
-  for (let k = first; k <= step; k++) trail.push(placesAt(shepherds, team, k));
-  return {
-    sheep: placesAt(sheep, n, step), shepherds: trail.at(-1), trail,
-    goal: placesAt(goal, 1, step), goalRadius: RECORD.goalRadius,
-    rays: seen.lidar === null ? null : raysAt(data, step, seen),
-    held: seen.lidar === null ? [] : [RECORD.lidar.of[seen.lidar]],
-  };
-}
-
-function raysAt(data, step, seen) {
-  const [, count, channels, rays] = RECORD.lidar.shape, h = RECORD.lidar.of[seen.lidar];
-  const [x, y] = placesAt(data.shepherds, data.team, step).subarray(2 * h);
-  const ranges = (channel) => {
-    const start = ((step * count + seen.lidar) * channels + channel) * rays;
-    const metres = (code) => (code === FREE ? Infinity : code * RECORD.lidar.step);
-    return Array.from(data.ranges.subarray(start, start + rays), metres);
-  };
-  const shown = seen.channels.map((channel) => ({
-    ranges: ranges(channel), color: RECORD.colors.rays[channel], hit: RECORD.colors.hits[channel],
-  }));
-  return {x, y, pitch: RECORD.lidar.pitch, channels: shown};
-}
 
 // How many decimals tell a step of time, at least 1 and at most 4.
 function exact(step) {
@@ -126,7 +66,7 @@ function makeCurves(data, show) {
 let PLANE = null;
 
 async function start() {
-  const data = await load(), {times, steps, inGoal, n} = data, last = times.length - 1;
+  const data = await unpackRecord(RECORD), {times, steps, inGoal, n} = data, last = times.length - 1;
   const seen = {lidar: null, channels: []};
   const scrub = find('scrub'), play = find('play'), total = steps.at(-1);
   const speed = makeSpeeds(times);

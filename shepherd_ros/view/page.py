@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from shepherd_ros.config import ConfigError
 from shepherd_ros.sim.lidar_layout import channel_of
 from shepherd_ros.view.animation import TRAIL
-from shepherd_ros.view.look import beside, drawing, style
+from shepherd_ros.view.look import beside, DRAWING, STYLES
 from shepherd_ros.view.packing import packed, quantum, rounded
 from shepherd_ros.view.scene import view_limits
 from shepherd_ros.view.track import EpisodeTrack
@@ -68,8 +68,8 @@ def write_page(
         'title': html.escape(heading or 'Shepherding episode'),
         'facts': html.escape(facts(track)),
         'notes': html.escape(' '.join(record.pop('notes'))),
-        'style': style() + beside('page.css'),
-        'scripts': drawing() + beside('page.js'),
+        'style': beside(*STYLES, 'page.css'),
+        'scripts': beside(*DRAWING, 'record.js', 'page.js'),
         'record': json.dumps(record, allow_nan=False).replace('<', r'\u003c'),
     }
     path.write_text(Template(beside('page.html')).substitute(parts), encoding='utf-8')

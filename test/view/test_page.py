@@ -14,8 +14,17 @@ import pytest
 from shepherd_ros.config import ConfigError
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.view import page
+from shepherd_ros.view.look import beside
 from shepherd_ros.view.packing import MAX_CODE, quantum
 from shepherd_ros.view.page import write_page
+from shepherd_ros.view.scene import (
+    GOAL_COLOR,
+    GOAL_FILL,
+    GRID,
+    INK,
+    SHEEP_COLOR,
+    SHEPHERD_COLORS,
+)
 from shepherd_ros.view.track import EpisodeTrack
 from view.pages import curves, record_of, scans, unpacked, wandering
 
@@ -92,6 +101,15 @@ def test_titles_and_facts(tmp_path: Path) -> None:
         text = path.read_text(encoding='utf-8')
         assert f'<h1>{shown}</h1>' in text
         assert f'<p>{facts}</p>' in text
+
+
+def test_pages_have_the_colours_of_pictures() -> None:
+    day = dict(re.findall(r'^  --([\w-]+): (#\w{6});$', beside('palette.css'), re.MULTILINE))
+    night = dict(re.findall(r'^    --([\w-]+): (#\w{6});$', beside('palette.css'), re.MULTILINE))
+    same = {'sheep': SHEEP_COLOR, 'goal': GOAL_COLOR, 'goal-fill': GOAL_FILL, 'ink': INK}
+    same |= {'grid': GRID} | {f'shepherd-{h}': c for h, c in enumerate(SHEPHERD_COLORS)}
+    assert {name: day[name].upper() for name in same} == same
+    assert day.keys() == night.keys()
 
 
 def test_units_are_those_of_the_metrics() -> None:
