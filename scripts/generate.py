@@ -47,7 +47,7 @@ TOPICS = 'msg_schemas/topics.yaml'
 
 def members() -> dict[str, list[Topic]]:
     """Return the rows of the built-in members of each family."""
-    scans, values = families().values()
+    scans, values, *_ = families().values()
     stamp = scans.meaning.removeprefix('a channel of a lidar')
     return {
         scans.name: [

@@ -16,6 +16,7 @@ from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.parameter import parameter_value_to_python
 from shepherd_ros import nodes
 from shepherd_ros.nodes.compose import NODES
+from shepherd_ros.nodes.mux_requests import MuxRequests
 from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.wire.topics import contract, topic_table
 
@@ -124,10 +125,22 @@ def _services_of(path: Path) -> Iterator[list[str]]:
         yield [code(f'/{node}/{service}'), code(TYPES[kind]), escaped(meaning.splitlines()[0])]
 
 
+def _services_of_mux() -> Iterator[list[str]]:
+    """Yield the rows of mux, whose services have the names of its sources."""
+    for name, kind, meaning in (
+        ('mux/select/{source}', 'Trigger', MuxRequests.select.__doc__),
+        ('shepherd_{h}/mux/{source}', 'Trigger', 'The same for one shepherd.'),
+        ('mux/lock', 'SetBool', MuxRequests.lock.__doc__),
+        ('shepherd_{h}/mux/lock', 'SetBool', 'The same for one shepherd.'),
+    ):
+        yield [code(f'/{name}'), code(TYPES[kind]), escaped(meaning)]
+
+
 def services() -> str:
     """Return the page of the services."""
     files = sorted(Path(nodes.__file__ or '').parent.glob('*.py'))
     rows = [row for path in files for row in _services_of(path)]
+    rows += _services_of_mux()
     intro = (
         'Services use standard types only; what they need to know is in parameters. '
         'Examples: [](../how_to/realtime.md).'

@@ -6,6 +6,7 @@ __all__ = [
     'episode_probe',
     'executables',
     'herd_node',
+    'mux_requests',
     'player_node',
     'recorder_options',
     'world_client',

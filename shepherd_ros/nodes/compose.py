@@ -12,6 +12,7 @@ from shepherd_ros.nodes.flock_node import FlockSim
 from shepherd_ros.nodes.heuristic_node import HeuristicNode
 from shepherd_ros.nodes.lidar_node import LidarNode
 from shepherd_ros.nodes.metrics_node import MetricsNode
+from shepherd_ros.nodes.mux_node import MuxNode
 from shepherd_ros.nodes.policy_node import PolicyNode
 from shepherd_ros.ros.intra_process import IntraProcessTransport
 from shepherd_ros.ros.node import ShepherdNode
@@ -20,6 +21,7 @@ NODES: dict[str, Callable[..., ShepherdNode]] = {
     'flock_sim': FlockSim,
     'lidar': LidarNode,
     'metrics': MetricsNode,
+    'mux': MuxNode,
     **{kind.executable: partial(HeuristicNode, name) for name, kind in CONTROLLERS.items()},
     'controller': HeuristicNode,
     'policy': PolicyNode,

@@ -15,6 +15,7 @@ FILES = {  # of all executables but those of single controllers
     'lidar': 'lidar_node',
     'metrics': 'metrics_node',
     'herd': 'herd_node',
+    'mux': 'mux_node',
     'player': 'player_node',
     'recorder': 'recorder_node',
     'controller': 'heuristic_node',

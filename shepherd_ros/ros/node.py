@@ -100,16 +100,17 @@ class ShepherdNode(ParameterNode):
         *,
         kind: str = '',
         decode: Callable[[bytes], Any] | None = None,
+        name: str = '',
     ) -> Subscription:
         """
-        Return a subscription to a topic of the contract.
+        Return a subscription to a topic of the contract, or to another one by name that is alike.
 
         callback(content) receives what decode(message) returns, as in wire.decode by default.
         """
         row = row_of(topic)
         kind = kind or row.type
         decode = decode or DECODERS[kind]
-        name = topic.format(h=shepherd)
+        name = name or topic.format(h=shepherd)
         profile = quality(topic, subscribe=True)
         profile.depth = max(profile.depth, self.backlog)
 

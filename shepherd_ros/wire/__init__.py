@@ -1,3 +1,3 @@
 """Wire format of nodes and bags: topics, episode, encoding, decoding, schemas."""
 
-__all__ = ['contract', 'decode', 'encode', 'episode', 'schemas', 'topics']
+__all__ = ['contract', 'decode', 'drivers', 'encode', 'episode', 'schemas', 'topics']

@@ -63,6 +63,16 @@ class Vector(NamedTuple):
         return np.array((self.x, self.y))
 
 
+class Motion(NamedTuple):
+    """A velocity in the plane [m/s] and a turn [rad/s]; stamp None if it has none."""
+
+    stamp_ns: int | None
+    frame_id: str
+    x: float
+    y: float
+    turn: float
+
+
 class _Order:
     """What stands in messages of one byte order, ready to be read."""
 
@@ -72,6 +82,7 @@ class _Order:
 
         self.time, self.header, self.count = reader('iI'), reader('iII'), reader('I')
         self.pair, self.scan, self.number = reader('2d'), reader('7fI'), reader('d')
+        self.twist, self.flag = reader('6d'), reader('?')
         self.float32, self.float64 = np.dtype(f'{sign}f4'), np.dtype(f'{sign}f8')
 
 
@@ -160,6 +171,27 @@ def decode_twist(raw: bytes, order: _Order) -> Vector:
 
 
 @_checked
+def decode_motion(raw: bytes, order: _Order) -> Motion:
+    """Return velocity and turn of a geometry_msgs/Twist, which has no stamp."""
+    x, y, _, _, _, turn = order.twist(raw, HEADER)
+    return Motion(None, '', x, y, turn)
+
+
+@_checked
+def decode_motion_stamped(raw: bytes, order: _Order) -> Motion:
+    """Return velocity and turn of a geometry_msgs/TwistStamped."""
+    stamp_ns, frame_id, at = _header(raw, order)
+    x, y, _, _, _, turn = order.twist(raw, at + (HEADER - at) % 8)
+    return Motion(stamp_ns, frame_id, x, y, turn)
+
+
+@_checked
+def decode_bool(raw: bytes, order: _Order) -> bool:
+    """Return the value of a std_msgs/Bool."""
+    return bool(order.flag(raw, HEADER)[0])
+
+
+@_checked
 def decode_string(raw: bytes, order: _Order) -> str:
     """Return the text of a std_msgs/String."""
     return _text(raw, HEADER + 4, *order.count(raw, HEADER))
@@ -181,6 +213,7 @@ DECODERS: dict[str, Callable[[bytes], Any]] = {
     'geometry_msgs/msg/TwistStamped': decode_twist_stamped,
     'rosgraph_msgs/msg/Clock': decode_clock,
     'sensor_msgs/msg/LaserScan': decode_scan,
+    'std_msgs/msg/Bool': decode_bool,
     'std_msgs/msg/Float64': decode_float64,
     'std_msgs/msg/String': decode_string,
 }

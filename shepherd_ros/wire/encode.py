@@ -84,6 +84,11 @@ def encode_clock(ns: int) -> bytes:
     return ENCAPSULATION + struct.pack('<iI', ns // _NS_PER_SECOND, ns % _NS_PER_SECOND)
 
 
+def encode_bool(value: bool) -> bytes:
+    """Return a std_msgs/Bool."""
+    return ENCAPSULATION + struct.pack('?', value)
+
+
 def encode_number(value: float) -> bytes:
     """Return a std_msgs/Float64."""
     return ENCAPSULATION + struct.pack('<d', value)

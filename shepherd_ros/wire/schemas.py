@@ -12,7 +12,7 @@ from typing import Any
 
 from shepherd_ros.config import choices_of, Config, unknown_name
 from shepherd_ros.resources import share_file
-from shepherd_ros.wire.topics import contract
+from shepherd_ros.wire.topics import contract, families
 
 RULER = '=' * 80
 SERVICE_PARTS = ('Request', 'Response', 'Event')
@@ -27,7 +27,7 @@ _PRIMITIVES = {'bool', 'byte', 'char', 'float32', 'float64', 'string'} | {
 
 def wire_types() -> list[str]:
     """Return every type of the contract, such as geometry_msgs/msg/PoseArray."""
-    rows = contract()[0].values()
+    rows = (contract()[0] | families()).values()
     return sorted({kind for row in rows for kind in (row.type, row.alternative) if kind})
 
 

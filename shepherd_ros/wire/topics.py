@@ -16,11 +16,22 @@ SHEPHERD = 'shepherd_{h}'  # frame of a shepherd, and what its topics begin with
 EPISODE, GOAL, CLOCK = 'episode', 'goal', '/clock'
 SHEEP_POSES, SHEPHERD_POSES = 'flock/poses', 'shepherds/poses'
 COMMANDS = f'{SHEPHERD}/cmd_vel'
+DRIVERS, SELECT = 'drivers', 'mux/select'
 
 
 def scan_topic(channel: str) -> str:
     """Return the topic of a channel of the lidars."""
     return f'{SHEPHERD}/scan/{channel}'
+
+
+def source_topic(name: str) -> str:
+    """Return the topic on which a source of mux commands each shepherd."""
+    return f'{COMMANDS}/{name}'
+
+
+def lock_topic(name: str) -> str:
+    """Return the topic of a lock of mux."""
+    return f'mux/locks/{name}'
 
 
 def metric_topic(name: str) -> str:

@@ -16,6 +16,7 @@ from rosbag2.tiny import STORE
 from shepherd_ros.ros.node import message_type
 from shepherd_ros.wire.decode import DECODERS, Poses, Scan, Vector
 from shepherd_ros.wire.encode import (
+    encode_bool,
     encode_clock,
     encode_command,
     encode_goal,
@@ -69,6 +70,7 @@ MADE: dict[str, st.SearchStrategy[tuple[bytes, Any]]] = {
     'sensor_msgs/msg/LaserScan': st.builds(
         scan, NS, TEXT, RANGES, st.floats(0, 2.0**100, width=32)
     ),
+    'std_msgs/msg/Bool': st.builds(lambda on: (encode_bool(on), on), st.booleans()),
     'std_msgs/msg/Float64': st.builds(lambda x: (encode_number(x), x), NUMBER),
     'std_msgs/msg/String': st.builds(lambda text: (encode_text(text), text), TEXT),
 }
