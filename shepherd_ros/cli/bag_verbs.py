@@ -8,6 +8,7 @@ from typing import Annotated, Literal, TYPE_CHECKING
 
 from shepherd_ros.arguments import verb_group
 from shepherd_ros.cli.out_folders import made_folder
+from shepherd_ros.cli.progress import progress, reading
 from shepherd_ros.cli.user_error import UserError
 import tyro
 
@@ -20,20 +21,35 @@ _EXIT_DIFFERENT = 1  # exit code of check, diff and recover when something was f
 
 @dataclass
 class _Info:
-    """Show what is in a bag: files, topics, episodes and their metrics."""
+    """Show what is in a bag: files, topics, episodes and their metrics; list a folder of bags."""
 
     bag: Bags
-    """Folder of a bag, or one .mcap, .db3 or .bag file."""
+    """Folder of a bag, one .mcap, .db3 or .bag file, or a folder of bags."""
     metrics: bool = True
     """Count the metrics of each episode from its poses."""
 
     def run(self) -> int:
-        """Print it."""
+        """Print it; exit code 1 if a bag of a folder cannot be read."""
         from shepherd_ros.recordings.info import bag_info
-        from shepherd_ros.rosbag2.reader import open_bag
+        from shepherd_ros.rosbag2.reader import bags_in, open_bag
 
-        print(bag_info(open_bag(self.bag), self.metrics).text())
+        bags = bags_in(self.bag)
+        if bags and bags != [self.bag]:
+            return self._list(bags)
+        bag = open_bag(self.bag)
+        with reading(bag):
+            text = bag_info(bag, self.metrics).text()
+        print(text)
         return 0
+
+    def _list(self, bags: list[Path]) -> int:
+        """Print a line for each bag, and totals."""
+        from shepherd_ros.recordings.bag_list import list_bags
+
+        with progress('reading', len(bags)) as show:
+            found = list_bags(bags, self.metrics, lambda done, bag: show(done, text=bag.path.name))
+        print(found.text())
+        return _EXIT_DIFFERENT if found.unreadable else 0
 
 
 @dataclass
@@ -50,7 +66,9 @@ class _Check:
         from shepherd_ros.recordings.check import check_bag
         from shepherd_ros.rosbag2.reader import open_bag
 
-        result = check_bag(open_bag(self.bag), self.require)
+        bag = open_bag(self.bag)
+        with reading(bag):
+            result = check_bag(bag, self.require)
         print(result.text())
         return 0 if result.ok else _EXIT_DIFFERENT
 
@@ -93,7 +111,9 @@ class _Export:
         from shepherd_ros.recordings.export import export_bag
         from shepherd_ros.rosbag2.reader import open_bag
 
-        tables = export_bag(open_bag(self.bag), self.output, self.format, self.namespace)
+        bag = open_bag(self.bag)
+        with reading(bag):
+            tables = export_bag(bag, self.output, self.format, self.namespace)
         for table in tables.values():
             print(f'{table.path}: {table.rows} rows')
         return 0
@@ -119,7 +139,8 @@ class _Diff:
         from shepherd_ros.rosbag2.reader import open_bag
 
         left, right = open_bag(self.left), open_bag(self.right)
-        result = diff_bags(left, right, times=self.times, once=self.once)
+        with reading(left):  # both are read side by side
+            result = diff_bags(left, right, times=self.times, once=self.once)
         print(result.text())
         return 0 if result.equal else _EXIT_DIFFERENT
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import isnan
 import os
 from pathlib import Path
 import time
@@ -55,6 +56,8 @@ class Demo(OneSetting):
         with running(self.out / 'logs') as processes, open_episode_probe() as (probe, hear):
             self._herd(stack, setting.steps, processes, probe, hear, console)
         console.print(self._table(probe.metrics))
+        if any(isnan(value) for value in probe.metrics.values()):
+            console.print('nan: the node metrics has not heard every state')
         self._draw(setting, probe, console)
         return 0
 

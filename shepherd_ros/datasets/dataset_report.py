@@ -12,6 +12,8 @@ from shepherd_ros.datasets.running_stats import RunningStats
 from shepherd_ros.datasets.steps import Steps
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 
+_COUNTS = ('bags', 'episodes', 'partial_episodes', 'steps', 'examples')
+
 
 @dataclass
 class Report:
@@ -19,6 +21,7 @@ class Report:
 
     bags: int = 0
     episodes: int = 0
+    partial_episodes: int = 0  # of them, those of which states were not recorded
     steps: int = 0
     examples: int = 0
     drops: Counter[str] = field(default_factory=Counter)  # reason -> steps
@@ -44,6 +47,7 @@ class Report:
     def see(self, steps: Steps) -> None:
         """Count the whole steps of an episode."""
         self.episodes += 1
+        self.partial_episodes += steps.partial
         self.steps += len(steps)
         self.sheep[steps.n_sheep] += 1
         self.shepherds[steps.n_shepherds] += 1
@@ -62,7 +66,7 @@ class Report:
         """Return the report as plain data."""
         shares = self.returns.to_dict()
         return {
-            **{name: getattr(self, name) for name in ('bags', 'episodes', 'steps', 'examples')},
+            **{name: getattr(self, name) for name in _COUNTS},
             'dropped': [
                 {'reason': reason, 'steps': count, 'first': self.first_drop[reason]}
                 for reason, count in self.drops.most_common()
@@ -79,7 +83,8 @@ class Report:
     def text(self) -> str:
         """Return the report as a table for people."""
         data = self.to_dict()
-        lines = [f'{f"{name}:":<10} {data[name]}' for name in ('bags', 'episodes')]
+        part = f' ({self.partial_episodes} not whole)' if self.partial_episodes else ''
+        lines = [f'bags:      {self.bags}', f'episodes:  {self.episodes}{part}']
         lines += [f'steps:     {self.steps} (of single shepherds)', f'examples:  {self.examples}']
         for row in data['dropped']:
             lines.append(

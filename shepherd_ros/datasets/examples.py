@@ -15,8 +15,7 @@ from shepherd_ros.datasets.lerobot_reader import Dataset, is_dataset, open_datas
 from shepherd_ros.datasets.lerobot_writer import DatasetWriter
 from shepherd_ros.datasets.steps import Refuse, Steps, steps_of
 from shepherd_ros.recordings.episodes import iter_episodes
-from shepherd_ros.rosbag2.metadata import FILE
-from shepherd_ros.rosbag2.reader import open_bag
+from shepherd_ros.rosbag2.reader import bags_in, open_bag
 from shepherd_ros.sim.observation import ObservationConfig
 import torch
 from torch import Tensor
@@ -48,22 +47,8 @@ class EpisodeExamples:
 
 
 def bag_folders(place: Path) -> list[Path]:
-    """
-    Return the bags at a place: a bag itself, or a folder of bags; raises ConfigError.
-
-    Hidden folders are those of runs that were killed, and left out.
-    """
-
-    def is_bag(path: Path) -> bool:
-        return path.suffix == '.mcap' or (path / FILE).exists() or any(path.glob('*.mcap'))
-
-    try:
-        if is_bag(place):
-            return [place]
-        inside = sorted(p for p in place.iterdir() if p.is_dir() and p.name[0] != '.')
-        bags = [path for path in inside if is_bag(path)]
-    except OSError:
-        bags = []
+    """Return the bags at a place, a bag itself or a folder of bags; raises ConfigError."""
+    bags = bags_in(place)
     if not bags:
         raise ConfigError(
             f'{place}: expected a bag, a folder of bags, as shepherd record writes, or a data '

@@ -36,6 +36,7 @@ class Steps:
     action: NDArray[np.float32]  # (n, 2) m/s, world frame
     channels: tuple[str, ...] = PAPER_CHANNELS  # C
     range_max: float = 0.0  # m, of the lidar; 0 if it is not known
+    partial: bool = False  # states of the episode were not recorded
 
     def __len__(self) -> int:
         """Return how many there are."""
@@ -88,6 +89,7 @@ def steps_of(episode: RecordedEpisode, bag: str, number: int, refuse: Refuse) ->
         shepherd=np.array([row[1] for row in kept], np.int64),
         channels=episode.channels,
         range_max=range_max,
+        partial=not episode.whole,
         lidar=np.stack([row[2] for row in kept]).astype(np.float32) if kept else nothing,
         action=np.array([row[3] for row in kept], np.float32).reshape(-1, 2),
     )

@@ -126,7 +126,8 @@ class BCTrainer:
         progress['updates'] += 1
         self.averaged()
         self.read, self.due, self.losses = 0, 0.0, []
-        return {'loss': loss}
+        seen = {name: getattr(self.report, name) for name in ('episodes', 'partial_episodes')}
+        return {'loss': loss, **seen}
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of the training."""

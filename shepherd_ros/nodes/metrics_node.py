@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+import math
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -19,7 +20,11 @@ from shepherd_ros.wire.topics import metric_topic
 
 
 class MetricsNode(ShepherdNode):
-    """Counts every step; an episode heard only in part is reported as such, not guessed."""
+    """
+    Counts every step.
+
+    Of an episode that is heard only in part, metrics that count over time are NaN.
+    """
 
     def __init__(self, **kwargs: Any) -> None:
         """Create the node and its publishers."""
@@ -49,14 +54,26 @@ class MetricsNode(ShepherdNode):
             self.gaps += int(step > last + 1)
         else:  # a state that is shown again counts once
             self.moment = replace(self.moment, state=state)
-        self.values = {name: float(v) for name, v in self.moment.metrics().items()}
+        self.values = {
+            name: math.nan if self.gaps and not METRICS[name].instant else float(value)
+            for name, value in self.moment.metrics().items()
+        }
         for name, value in self.values.items():
             self.outputs[name].publish(encode_number(value))
         if step == steps and not self.reported:
             self.reported = True
-            shown = ', '.join(f'{name} {self.values[name]:.4g}' for name in PAPER_METRICS)
-            lost = f' (heard with {self.gaps} gaps)' if self.gaps else ''
-            self.get_logger().info(f'episode {episode.number}, seed {episode.seed}{lost}: {shown}')
+            self._report(episode)
+
+    def _report(self, episode: Episode) -> None:
+        """Say how an episode went that is over."""
+        name = f'episode {episode.number}, seed {episode.seed}'
+        if self.gaps:
+            self.get_logger().warning(
+                f'{name}: not whole, states are missing at {self.gaps} places; no metrics'
+            )
+            return
+        shown = ', '.join(f'{metric} {self.values[metric]:.4g}' for metric in PAPER_METRICS)
+        self.get_logger().info(f'{name}: {shown}')
 
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return whether every step was heard."""
@@ -64,7 +81,10 @@ class MetricsNode(ShepherdNode):
         if silence := self.listener.silence():
             level, message = WARN, silence
         elif self.gaps:
-            level, message = WARN, 'steps of this episode were missed: its metrics are not whole'
+            level, message = (
+                WARN,
+                'states of this episode were missed: no metrics that count over time',
+            )
         shown = {name: f'{value:.6g}' for name, value in self.values.items()}
         return [self.status('metrics', level, message, gaps=self.gaps, **shown)]
 

@@ -1,6 +1,7 @@
 """The content of bags: episodes, checks, exports, recording and replay without ROS."""
 
 __all__ = [
+    'bag_list',
     'check',
     'counterfactual',
     'episode_metrics',

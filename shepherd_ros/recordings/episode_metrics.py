@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from shepherd_ros.config import ConfigError
 from shepherd_ros.recordings.episodes import episode_of
 from shepherd_ros.recordings.grouping import RecordedGroup
@@ -15,17 +17,28 @@ def metrics_heads() -> list[str]:
     return [metric.short for metric in shown('bag')]
 
 
-def metrics_of(bag: Bag, group: RecordedGroup) -> list[str]:
-    """Return the metrics of an episode after its last state, ? where its states are unusable."""
-    names = [metric.name for metric in shown('bag')]
+def metrics_of(bag: Bag, group: RecordedGroup) -> dict[str, float]:
+    """Return the metrics of an episode after its last state, {} where its states are unusable."""
     try:
         episode = episode_of(bag, group)
         if not episode.frames:
-            return ['?'] * len(names)
+            return {}
         curves = metrics_over_time(states_of(episode), episode.episode_steps)
     except ConfigError:
-        return ['?'] * len(names)
-    values = {name: f'{curves[name][-1]:.4g}' for name in names}
-    if not curves['completed'][-1]:
-        values['completion_time'] = 'never'
-    return list(values.values())
+        return {}
+    return {name: float(values[-1]) for name, values in curves.items()}
+
+
+def metrics_texts(values: Mapping[str, float]) -> list[str]:
+    """Return the metrics of an episode for a table, ? where they are not known."""
+    texts = {metric.name: '?' for metric in shown('bag')}
+    texts |= {name: f'{values[name]:.4g}' for name in texts if name in values}
+    if values and not values['completed']:
+        texts['completion_time'] = 'never'
+    return list(texts.values())
+
+
+def mean_texts(episodes: Sequence[Mapping[str, float]]) -> list[str]:
+    """Return the means over episodes; one that is never completed counts with its length."""
+    names = [metric.name for metric in shown('bag')]
+    return [f'{sum(values[name] for values in episodes) / len(episodes):.4g}' for name in names]

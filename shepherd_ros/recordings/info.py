@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -25,12 +26,24 @@ class EpisodeSummary:
     n_shepherds: int
     states: int  # with poses of both kinds
     expected: int  # states of a whole episode
-    metrics: list[str]  # [] if they were not asked for
+    last: int  # step of its last state, -1 without any
+    values: Mapping[str, float]  # its metrics; {} if not asked for, or if states are unusable
+    metrics: list[str]  # for a table; [] if they were not asked for
 
     @property
     def whole(self) -> bool:
         """Return whether no state is missing."""
         return self.states == self.expected
+
+    @property
+    def row(self) -> list[str]:
+        """Return the metrics and what they are of: none where states before the last are gone."""
+        if self.whole:
+            return [*self.metrics, '']
+        if 0 < self.states == self.last + 1:
+            return [*self.metrics, f'not whole: until step {self.last}']
+        missing = f'{self.expected - self.states} of {self.expected} missing'
+        return [*('-' for _ in self.metrics), f'not whole: {missing}']
 
 
 @dataclass(frozen=True)
@@ -59,7 +72,7 @@ class BagInfo:
         """Return the text of `ros2 bag info`, with compression and episodes."""
         rows = [
             ('Files:', self.files),
-            ('Bag size:', [_size(self.size)]),
+            ('Bag size:', [size_text(self.size)]),
             ('Storage id:', [self.storage]),
             ('ROS Distro:', [self.distro or 'unknown']),
             ('Compression:', [self.compression]),
@@ -71,30 +84,47 @@ class BagInfo:
             ('Episodes:', [_episode(episode) for episode in self.episodes]),
         ]
         if self.metrics and self.episodes:
-            table = [['episode', 'seed', *self.metrics]]
-            table += [
-                [f'{e.namespace} {e.number}'.strip(), str(e.seed), *e.metrics]
-                for e in self.episodes
-            ]
-            widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-            rows.append(('Metrics:', ['  '.join(map(str.rjust, row, widths)) for row in table]))
+            rows.append(('Metrics:', self._metrics_table()))
         lines = []
         for name, values in rows:
             for i, value in enumerate(values or ['']):
                 lines.append(f'{"" if i else name:<{INDENT}}{value}'.rstrip())
         return '\n'.join(lines)
 
+    def _metrics_table(self) -> list[str]:
+        """Return a line for each episode, and the means of those that are whole."""
+        table = [['episode', 'seed', *self.metrics, '']]
+        table += [
+            [f'{e.namespace} {e.number}'.strip(), str(e.seed), *e.row] for e in self.episodes
+        ]
+        if len(whole := self.whole_values) > 1:
+            from shepherd_ros.recordings.episode_metrics import mean_texts  # needs torch
+
+            table.append(['mean', f'n={len(whole)}', *mean_texts(whole), ''])
+        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+        return ['  '.join([*map(str.rjust, row[:-1], widths), row[-1]]).rstrip() for row in table]
+
+    @property
+    def whole_values(self) -> list[Mapping[str, float]]:
+        """Return the metrics of the episodes that are whole."""
+        return [episode.values for episode in self.episodes if episode.whole and episode.values]
+
 
 def bag_info(bag: Bag, metrics: bool = False) -> BagInfo:
     """Return the summary of a bag, in one pass; raises BagError where its poses cannot be read."""
     if metrics:
-        from shepherd_ros.recordings.episode_metrics import metrics_heads, metrics_of  # need torch
+        from shepherd_ros.recordings.episode_metrics import (  # need torch
+            metrics_heads,
+            metrics_of,
+            metrics_texts,
+        )
     packed = {name or 'none' for storage in bag.storages for name in storage.compressions}
     episodes = []
     for namespace in namespaces(bag):
         for group in RecordedGroups(bag, namespace, (*STATES, GOAL) if metrics else STATES):
             info = group.info
-            states = sum(1 for s in group.states.values() if s.sheep and s.shepherds)
+            steps = [step for step, s in group.states.items() if s.sheep and s.shepherds]
+            values = metrics_of(bag, group) if metrics else {}
             episodes.append(
                 EpisodeSummary(
                     namespace=namespace,
@@ -102,9 +132,11 @@ def bag_info(bag: Bag, metrics: bool = False) -> BagInfo:
                     seed=info.seed,
                     n_sheep=info.n_sheep,
                     n_shepherds=info.n_shepherds,
-                    states=states,
+                    states=len(steps),
                     expected=info.episode_steps + 1,
-                    metrics=metrics_of(bag, group) if metrics else [],
+                    last=max(steps, default=-1),
+                    values=values,
+                    metrics=metrics_texts(values) if metrics else [],
                 )
             )
     return BagInfo(
@@ -123,7 +155,8 @@ def bag_info(bag: Bag, metrics: bool = False) -> BagInfo:
     )
 
 
-def _size(size: float) -> str:
+def size_text(size: float) -> str:
+    """Return a size [bytes] in a unit for people."""
     for unit in ('B', 'KiB', 'MiB', 'GiB'):
         if size < 1024:
             return f'{size:.0f} B' if unit == 'B' else f'{size:.1f} {unit}'

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from functools import cached_property
 import heapq
@@ -34,6 +34,7 @@ class Bag:
         self.path, self.storage = path, STORAGE
         self.storages = [_storage(file, path, len(files)) for file in files]
         self._metadata = metadata
+        self.on_time: Callable[[int], None] = lambda ns: None  # log time [ns] that is read next
         self.topics: dict[str, TopicInfo] = {}  # in the order of their names
         self.schemas: dict[str, tuple[str, bytes]] = {}  # encoding and text of a type
         # type, encoding and text of the channels of each topic: one, if all is well
@@ -101,6 +102,7 @@ class Bag:
         # log time, file, place in the file, place in the chunk: no two are equal
         heap: list[tuple[int, int, int, int, BagMessage]] = []
         for first, number, chunk in chunks:
+            self.on_time(first)
             while heap and heap[0][0] < first:
                 yield heapq.heappop(heap)[-1]
             known = wanted[number]

@@ -62,6 +62,7 @@ class OtherBag(Bag):
             pack = {c.msgtype: self._packer(reader, c.msgtype) for c in chosen}
             rows = reader.messages(chosen, start_ns, end_ns) if chosen else ()
             for connection, ns, data in rows:
+                self.on_time(ns)
                 content = bytes(pack[connection.msgtype](data))
                 yield BagMessage(connection.topic, connection.msgtype, ns, ns, content)
 

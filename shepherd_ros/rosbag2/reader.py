@@ -30,6 +30,25 @@ def open_bag(path: Path | str) -> Bag:
     return Bag(path, _files(path, metadata) if folder else [path], metadata)
 
 
+def bags_in(place: Path) -> list[Path]:
+    """
+    Return the bags at a place, which is one itself or a folder of some; [] if it is neither.
+
+    Hidden folders are those of runs that were killed, and left out.
+    """
+
+    def is_bag(path: Path) -> bool:
+        return path.suffix == '.mcap' or (path / FILE).exists() or any(path.glob('*.mcap'))
+
+    try:
+        if is_bag(place):
+            return [place]
+        inside = sorted(p for p in place.iterdir() if p.is_dir() and p.name[0] != '.')
+        return [path for path in inside if is_bag(path)]
+    except OSError:
+        return []
+
+
 def _files(folder: Path, metadata: Metadata | None) -> list[Path]:
     """Return the files of a bag in order; raises BagError."""
     note = folder / FILE

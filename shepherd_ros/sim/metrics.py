@@ -46,6 +46,7 @@ class Metric:
     title: str = ''  # on an axis; its name by default
     short: str = ''  # above a column; its name by default
     paper: bool = False
+    instant: bool = False  # known from a state alone, whatever was before
     shown: Mapping[str, int] = field(default_factory=dict)  # SHOWN_IN -> order there
 
     def __post_init__(self) -> None:
@@ -200,6 +201,7 @@ _BUILT_IN = (
         lambda tally, state, steps: tally.in_goal,
         title='share in the goal at the end',
         short='in goal at the end',
+        instant=True,
         shown={'summary': 6, 'eval': 4, 'progress': 2, 'bag': 6, 'page': 1},
     ),
     Metric(
@@ -207,6 +209,7 @@ _BUILT_IN = (
         'm',
         'center of mass to the center of the goal now',
         lambda tally, state, steps: tally.goal_distance,
+        instant=True,
         shown={'page': 2},
     ),
 )

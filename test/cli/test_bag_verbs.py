@@ -22,7 +22,7 @@ from rosbag2.tiny import (
     write,
 )
 from shepherd_ros.cli import main
-from shepherd_ros.recordings.episodes import iter_episodes
+from shepherd_ros.recordings.episodes import iter_episodes, RecordedEpisode
 from shepherd_ros.recordings.replay import metrics_over_time, states_of
 from shepherd_ros.rosbag2.diff import diff_bags
 from shepherd_ros.rosbag2.reader import open_bag
@@ -80,14 +80,72 @@ def test_info_tells_the_metrics_of_each_episode(
     header = re.split(r'  +', lines[place])
     assert header == ['Metrics:', 'episode', 'seed', *(metric.short for metric in shown('bag'))]
     rows = [re.split(r'  +', line.strip()) for line in lines[place + 1 :]]
-    assert [row[:2] for row in rows] == [['0', '7'], ['1', '8']]
-    for row, episode in zip(rows, iter_episodes(open_bag(bag)), strict=True):
+    assert [row[:2] for row in rows] == [['0', '7'], ['1', '8'], ['mean', 'n=2']]
+    ends = []
+    for row, episode in zip(rows, iter_episodes(open_bag(bag)), strict=False):
         curves = metrics_over_time(states_of(episode), episode.episode_steps)
         for told, metric in zip(row[2:], shown('bag'), strict=True):
             name = metric.name
             late = name == 'completion_time' and not curves['completed'][-1]
             assert told == ('never' if late else f'{curves[name][-1]:.4g}'), name
+        ends.append([curves[metric.name][-1] for metric in shown('bag')])
+    assert rows[2][2:] == [
+        f'{(first + second) / 2:.4g}' for first, second in zip(*ends, strict=True)
+    ]
     assert 'Metrics' not in shepherd('info', bag, '--no-metrics')[1]
+
+
+def test_an_episode_in_part_is_marked_and_in_no_mean(
+    tmp_path: Path, shepherd: Callable[..., Said]
+) -> None:
+    whole = shepherd('info', tiny_bag(tmp_path / 'whole'))[1].splitlines()[-3:]
+    gap = write(tmp_path / 'gap', without(MESSAGES, '/flock/poses', 2))
+    lines = shepherd('info', gap)[1].splitlines()[-2:]  # one whole episode has no mean
+    assert lines[0].split()[:2] == ['0', '7']
+    assert lines[0].split()[2:8] == ['-'] * len(shown('bag'))
+    assert lines[0].endswith('not whole: 1 of 5 missing')
+    assert lines[1].split() == whole[1].split()
+    last = STATES - 1  # the state in which the second episode is over
+    cut = write(tmp_path / 'cut', without(MESSAGES, '/flock/poses', last))
+    lines = shepherd('info', cut)[1].splitlines()[-2:]
+    assert lines[0].split() == whole[0].split()
+    assert '-' not in lines[1].split()
+    assert lines[1].endswith(f'not whole: until step {STEPS - 1}')
+
+
+def test_info_of_a_folder_lists_its_bags(tmp_path: Path, shepherd: Callable[..., Said]) -> None:
+    folder = tmp_path / 'bags'
+    folder.mkdir()
+    first = tiny_bag(folder / 'first')
+    write(folder / 'second', without(MESSAGES, '/flock/poses', 2))
+    (folder / '.killed').mkdir()
+    code, out, err = shepherd('info', folder)
+    assert (code, err) == (0, '')
+    lines = [re.split(r'  +', line.strip()) for line in out.splitlines()]
+    assert lines[0] == ['Bag', 'Duration [s]', 'Messages', 'Size', 'Episodes', 'Seeds']
+    assert lines[1][:3] == ['first', '0.1', str(len(MESSAGES))]
+    assert lines[1][4:] == [str(EPISODES), '7, 8']
+    assert lines[2][4:] == [str(EPISODES), '7, 8', '1 not whole']
+    assert f'2 bags, 4 episodes, 3 whole; {2 * len(MESSAGES) - 1} messages, ' in out
+    ends = [curve_ends(episode) for episode in iter_episodes(open_bag(first))]
+    ends.append(ends[1])  # the whole one of the second bag
+    assert out.splitlines()[-len(shown('bag')) - 1].startswith('Mean over 3 whole episodes')
+    for line, metric in zip(lines[-len(shown('bag')) :], shown('bag'), strict=True):
+        mean = sum(end[metric.name] for end in ends) / 3
+        assert line == [metric.short, f'{mean:.4g}']
+    (folder / 'second' / 'second_0.mcap').write_bytes(b'no bag')
+    code, out, err = shepherd('info', folder, '--no-metrics')
+    assert (code, err) == (1, '')
+    assert f'second  {folder / "second" / "second_0.mcap"}: ' in out
+    assert '1 bag, 2 episodes, 2 whole; ' in out
+    assert '1 bag cannot be read' in out
+    assert 'Mean' not in out
+
+
+def curve_ends(episode: RecordedEpisode) -> dict[str, float]:
+    """Return the metrics of an episode at its end."""
+    curves = metrics_over_time(states_of(episode), episode.episode_steps)
+    return {name: float(values[-1]) for name, values in curves.items()}
 
 
 def test_info_of_states_that_cannot_be_counted_has_no_metrics_for_them(
