@@ -62,6 +62,7 @@ setup(
         'safetensors',
         'tensorboard',
         'torch',
+        'tornado',
         'tyro',
         'zstandard',
     ],

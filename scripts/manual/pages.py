@@ -8,6 +8,7 @@ from pathlib import Path
 import shepherd_ros
 
 from manual.commands import commands
+from manual.console import console
 from manual.data import bags, checkpoints, dataset, metric_names, presets
 from manual.errors import errors
 from manual.graph import graph
@@ -77,6 +78,7 @@ def reference() -> dict[str, str]:
         'parameters.md': parameters(),
         'services.md': services(),
         'commands.md': commands(),
+        'console.md': console(),
         'bags.md': bags(),
         'dataset.md': dataset(),
         'checkpoints.md': checkpoints(),

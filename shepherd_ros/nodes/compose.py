@@ -8,6 +8,7 @@ from typing import Any
 
 from shepherd_ros.bringup import Process
 from shepherd_ros.controllers import CONTROLLERS
+from shepherd_ros.nodes.console_node import ConsoleNode
 from shepherd_ros.nodes.flock_node import FlockSim
 from shepherd_ros.nodes.heuristic_node import HeuristicNode
 from shepherd_ros.nodes.lidar_node import LidarNode
@@ -22,6 +23,7 @@ NODES: dict[str, Callable[..., ShepherdNode]] = {
     'lidar': LidarNode,
     'metrics': MetricsNode,
     'mux': MuxNode,
+    'console': ConsoleNode,
     **{kind.executable: partial(HeuristicNode, name) for name, kind in CONTROLLERS.items()},
     'controller': HeuristicNode,
     'policy': PolicyNode,

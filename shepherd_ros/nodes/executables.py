@@ -20,6 +20,7 @@ FILES = {  # of all executables but those of single controllers
     'recorder': 'recorder_node',
     'controller': 'heuristic_node',
     'policy': 'policy_node',
+    'console': 'console_node',
 }
 
 

@@ -9,13 +9,13 @@ from functools import partial
 import time
 from typing import Any
 
-from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from shepherd_ros.nodes.recorder_losses import Losses
 from shepherd_ros.ros.node import message_type
+from shepherd_ros.ros.polling import never, PolledGroup
 from shepherd_ros.rosbag2.qos import Qos
 from shepherd_ros.wire.contract import known
 from shepherd_ros.wire.schemas import installed_text, nested_text, wire_types
@@ -23,28 +23,6 @@ from shepherd_ros.wire.topics import contract
 
 QUEUE_DEPTH = 10_000  # messages that may wait for the recorder, per topic
 Row = tuple[str, bytes, dict[str, int]]  # topic, message, times and number
-
-
-class PolledGroup(CallbackGroup):
-    """
-    Subscriptions whose messages no executor takes: that would cost more than to write them.
-
-    Their events, by which DDS reports losses, make every round of an executor milliseconds long:
-    it sees them only while the group is open.
-    """
-
-    open = False
-
-    def can_execute(self, entity: Any) -> bool:
-        """Return whether the executor may care for something."""
-        return self.open and not isinstance(entity, Subscription)
-
-    def beginning_execution(self, entity: Any) -> bool:
-        """Return that there is nothing to wait for."""
-        return True
-
-    def ending_execution(self, entity: Any) -> None:
-        """Do nothing."""
 
 
 @dataclass
@@ -175,7 +153,7 @@ class RecorderSubscriptions:
         subscription = self.node.create_subscription(
             message,
             name,
-            _never,
+            never,
             QoSProfile(
                 depth=QUEUE_DEPTH,
                 reliability=ReliabilityPolicy.RELIABLE
@@ -240,7 +218,3 @@ def _sent(row: Row) -> int:
 
 def _ids(offers: list[Any]) -> set[bytes]:
     return {bytes(offer.endpoint_gid) for offer in offers}
-
-
-def _never(raw: bytes) -> None:
-    """Stand for the callback of a subscription whose messages are taken by hand."""

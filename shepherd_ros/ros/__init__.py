@@ -6,6 +6,7 @@ __all__ = [
     'markers',
     'node',
     'parameters',
+    'polling',
     'runtime',
     'scan_subscriber',
     'transforms',

@@ -1,0 +1,67 @@
+"""Shepherds that pages drive by hand: one page for each, and a dead-man's switch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from shepherd_ros.config import ConfigError
+
+DEAD_MAN = 0.2  # [s] without a command of its page after which a shepherd stops
+
+
+@dataclass
+class Hold:
+    """A shepherd that a page drives."""
+
+    page: int
+    heard: float  # when its last command came [s]
+
+
+class Drives:
+    """
+    Lets at most one page drive a shepherd.
+
+    take(shepherd), move(shepherd, x, y, frame) and give(shepherd) do it; a shepherd stands still
+    when it is given back.
+    """
+
+    def __init__(
+        self,
+        take: Callable[[int], None],
+        move: Callable[[int, float, float, str], None],
+        give: Callable[[int], None],
+    ) -> None:
+        """Begin with no shepherd."""
+        self._take, self._move, self._give = take, move, give
+        self.holds: dict[int, Hold] = {}
+
+    def drive(self, page: int, shepherd: int, x: float, y: float, frame: str, now: float) -> bool:
+        """Move a shepherd at a velocity [m/s]; return whether the page has just taken it."""
+        hold = self.holds.get(shepherd)
+        if hold is not None and hold.page != page:
+            raise ConfigError(
+                f'shepherd {shepherd} is driven from page {hold.page}: expected one that nobody '
+                'drives by hand; release it there first'
+            )
+        if hold is None:
+            self._take(shepherd)
+        self.holds[shepherd] = Hold(page, now)
+        self._move(shepherd, x, y, frame)
+        return hold is None
+
+    def release(self, page: int, shepherd: int | None = None) -> bool:
+        """Stop what a page drives, one shepherd or all, and give it back; return if any."""
+        mine = [h for h, hold in self.holds.items() if hold.page == page]
+        return self._stop([h for h in mine if shepherd in (None, h)])
+
+    def expire(self, now: float) -> bool:
+        """Stop and give back what has had no command for too long; return if any."""
+        return self._stop([h for h, hold in self.holds.items() if now - hold.heard > DEAD_MAN])
+
+    def _stop(self, shepherds: list[int]) -> bool:
+        for h in shepherds:
+            del self.holds[h]
+            self._move(h, 0.0, 0.0, 'world')
+            self._give(h)
+        return bool(shepherds)

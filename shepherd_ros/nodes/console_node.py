@@ -1,0 +1,147 @@
+"""The console node: a page in a browser that shows a running graph and drives it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from shepherd_ros.config import ConfigError
+from shepherd_ros.console.access import make_access
+from shepherd_ros.console.commands import ConsoleCommand
+from shepherd_ros.console.desk import Answer, ConsoleDesk
+from shepherd_ros.console.page_server import PageServer
+from shepherd_ros.nodes.console_feed import ConsoleFeed
+from shepherd_ros.ros.node import OK, ShepherdNode
+from shepherd_ros.ros.runtime import run
+
+METRICS_PERIOD = 0.1  # [s] between two looks at metrics
+REPORT_PERIOD = 1.0  # [s] between two looks at diagnostics, and for new topics
+HIGHEST_PORT = 65535
+
+
+class ConsoleNode(ShepherdNode):
+    """
+    Serves the page and its websocket, shows what the graph says and does what the page asks for.
+
+    rclpy runs in the main thread, which sees timers and answers of services; the server and the
+    looks at topics run in a thread of their own.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Create the node and listen on its port."""
+        super().__init__('console', **kwargs)
+        self.executor_kind = 'single'  # it only sees timers and services
+        host: str = self.option('host', '127.0.0.1', 'address to listen on; 0.0.0.0: all')
+        port: int = self.option(
+            'port', 8080, 'port to listen on; 0: any that is free', low=0, high=HIGHEST_PORT
+        )
+        token: str = self.option(
+            'token', '', 'token that opens the page; empty: none on the loopback device, '
+            'elsewhere one that is made',
+        )  # fmt: skip
+        hosts: list[str] = self.option(
+            'allowed_hosts', [''], 'other names by which browsers may call this machine'
+        )
+        self.frame_rate: float = self.option(
+            'frame_rate', 60.0, 'most frames per second for each page', low=1.0, high=240.0
+        )
+        self.access = make_access(host, token, hosts)
+        self.place = host, port
+        self.desk = ConsoleDesk(self, {'namespace': self.get_namespace()})
+        self.feed = ConsoleFeed(self, self.desk.tell)
+        self.server: PageServer | None = None
+        self.starter = self.timer(0.0, self._start)
+        self.timer(REPORT_PERIOD, self.feed.look_for_metrics)
+
+    def _start(self) -> None:
+        """Listen: when the node runs, and not when only its help is shown."""
+        self.starter.cancel()
+        self.server = PageServer(*self.place, self.access, self.desk)
+        for look in (self._look, self._look_at_metrics, self._look_at_reports):
+            self.server.call(look)
+        self.get_logger().info(f'open {self.server.address}')
+
+    @property
+    def address(self) -> str:
+        """Return the address to open in a browser, '' before the server listens."""
+        return '' if self.server is None else self.server.address
+
+    def end(self) -> int:
+        """Close all pages and return the exit code."""
+        self.close()
+        return 0
+
+    def close(self) -> None:
+        """Close all pages and end the server."""
+        if self.server is not None:
+            self.server.close()
+            self.server = None
+
+    def destroy_node(self) -> None:
+        """End the server, then the node."""
+        self.close()
+        super().destroy_node()
+
+    # ---- what pages are shown, in the server's thread ----
+
+    def _again(self, seconds: float, look: Callable[[], None]) -> None:
+        if self.server is not None:
+            self.server.loop.call_later(seconds, look)
+
+    def _look(self) -> None:
+        """Show the newest state."""
+        self._again(1 / self.frame_rate, self._look)
+        if self.feed.look():
+            self.desk.show()
+
+    def _look_at_metrics(self) -> None:
+        """Tell the newest metrics."""
+        self._again(METRICS_PERIOD, self._look_at_metrics)
+        if self.feed.hear_metrics():
+            self.desk.tell('metrics', step=self.feed.step, values=self.feed.values)
+
+    def _look_at_reports(self) -> None:
+        """Tell the reports of all nodes, and the names of metrics."""
+        self._again(REPORT_PERIOD, self._look_at_reports)
+        self.desk.tell('metric_names', metrics=self.feed.metric_names())
+        self.desk.tell('diagnostics', reports=self.feed.hear_reports())
+
+    def frame(self, shepherd: int) -> bytes | None:
+        """Return the newest state with the ranges of a shepherd, None before the first."""
+        return self.feed.frame(shepherd)
+
+    def watch(self, shepherds: set[int]) -> None:
+        """Hear the lidars of these shepherds."""
+        self.in_executor(lambda: self.feed.watch(shepherds))
+
+    # ---- what pages ask for, in the server's thread ----
+
+    def in_executor(self, function: Callable[[], None]) -> None:
+        """Call a function in the executor's thread, where rclpy makes and ends subscriptions."""
+        executor = self.executor
+        if executor is not None:
+            executor.create_task(function)
+
+    def perform(self, command: ConsoleCommand, answer: Answer) -> None:
+        """Carry out a command."""
+        raise ConfigError(f'{command.name} cannot be done: expected a world that runs')
+
+    def take(self, shepherd: int) -> None:
+        """Let the console drive a shepherd."""
+
+    def move(self, shepherd: int, x: float, y: float, frame: str) -> None:
+        """Command a velocity [m/s], in frame world or body."""
+
+    def give(self, shepherd: int) -> None:
+        """Let those drive a shepherd that drove it before."""
+
+    def diagnose(self) -> list[DiagnosticStatus]:
+        """Return how many pages are open."""
+        pages = len(self.desk.sessions)
+        return [self.status('pages', OK, f'{pages} open', address=self.address)]
+
+
+def main() -> int:
+    """Show a running graph in a browser and drive it from there."""
+    return run(ConsoleNode, 'console', main.__doc__ or '')
