@@ -45,14 +45,14 @@ $(VENV)/.installed: $(VENV)/.demo
 	@$(INSTALL) '.[$(ROS),fast,envs,dev]'
 	@touch $@
 
-browser:  # Chromium, in which the tests look at pages
+browser:  # Chromium, in which the tests look at pages, and Node.js, with which they decode
 	@if ! { { command -v chromium || command -v chromium-browser || command -v google-chrome; } && \
-	    command -v chromedriver; } >/dev/null; then \
+	    command -v chromedriver && command -v node && command -v npm; } >/dev/null; then \
 	  as=; [ "$$(id -u)" = 0 ] || as=sudo; \
 	  { $$as apt-get update -q && \
-	    $$as apt-get install -q -y --no-install-recommends chromium chromium-driver; } || \
-	    { echo 'make browser: apt-get cannot install Chromium here; put chromium and' \
-	      'chromedriver on PATH' >&2; exit 1; }; \
+	    $$as apt-get install -q -y --no-install-recommends chromium chromium-driver nodejs npm; } || \
+	    { echo 'make browser: apt-get cannot install Chromium and Node.js here; put chromium,' \
+	      'chromedriver, node and npm on PATH' >&2; exit 1; }; \
 	fi
 
 generate: setup  # every committed file that follows from code: schemas, parameters, cards, reference

@@ -74,6 +74,7 @@ setup(
         'sb3': ['gymnasium', 'pettingzoo', 'stable-baselines3'],
         'onnx': ['onnx', 'onnxruntime'],
         'bench': ['vmas'],
+        'foxglove': ['foxglove-sdk'],
         'docs': ['furo', 'myst-parser', 'sphinx', 'sphinx-copybutton'],
         'test': ['pytest'],
         'dev': [
@@ -81,6 +82,7 @@ setup(
             'codespell',
             'colcon-common-extensions',
             'colcon-ros',
+            'foxglove-sdk',
             'hypothesis',
             'import-linter',
             'jsonschema',

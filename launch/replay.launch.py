@@ -55,6 +55,10 @@ def nodes(context: LaunchContext) -> list[Action]:
         actions.append(
             Node(package='rviz2', executable='rviz2', arguments=view, remappings=renames)
         )
+    if values.foxglove:
+        actions.append(
+            Node(package='shepherd_ros', executable='foxglove', output='screen', on_exit=on_exit)
+        )
     return actions
 
 

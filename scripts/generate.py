@@ -9,10 +9,10 @@ from pathlib import Path
 import re
 
 from manual.pages import pages
+from manual.wire import DOCUMENTED
 import rclpy
 from rclpy.context import Context
 from rclpy.parameter import parameter_value_to_python
-from shepherd_ros.nodes.compose import NODES
 from shepherd_ros.policy.card import card
 from shepherd_ros.policy.checkpoint import (
     checkpoint_file,
@@ -87,7 +87,7 @@ def parameter_file(name: str) -> str:
     """Return a parameter file with every default of a node and what it means."""
     context = Context()
     rclpy.init(args=[], context=context)
-    node = NODES[name](context=context)
+    node = DOCUMENTED[name](context=context)
     lines = [
         f'# Every parameter of {name} with its default.',
         f'/**/{name}:',
@@ -112,7 +112,9 @@ def fresh() -> Iterator[tuple[str, str]]:
     for name, made in (('episode.schema.json', episode_text), ('topics.yaml', topics_text)):
         path = f'msg_schemas/{name}'
         yield path, made((ROOT / path).read_text(encoding='utf-8'))
-    for name in NODES.keys() - {'controller'}:  # which has those of the controller that it runs
+    for name in DOCUMENTED.keys() - {
+        'controller'
+    }:  # which has those of the controller that it runs
         yield f'config/{name}.yaml', parameter_file(name)
     for name in shipped_checkpoints():
         record = read_checkpoint_metadata(checkpoint_file(name))[1]

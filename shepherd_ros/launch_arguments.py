@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from importlib.util import find_spec
 from pathlib import Path
 import re
 from typing import Any
@@ -43,6 +44,7 @@ LAUNCH_ARGUMENTS: dict[str, tuple[str, str]] = {
     'params_file': ('', 'YAML file with parameters, which win over the arguments'),
     'namespace': ('', 'namespace of all nodes'),
     'rviz': ('false', 'also start RViz: true or false'),
+    'foxglove': ('false', 'also serve the graph to Foxglove and Lichtblick: true or false'),
 }
 
 
@@ -57,6 +59,7 @@ class LaunchValues:
     params_file: str
     namespace: str
     rviz: bool
+    foxglove: bool
 
 
 def launch_values(given: dict[str, str]) -> LaunchValues:
@@ -102,7 +105,14 @@ def _of_all_nodes(given: dict[str, str]) -> dict[str, Any]:
         raise ConfigError(
             f'namespace is {given["namespace"]!r}: expected letters, digits and _, such as farm'
         )
-    return {'params_file': file, 'namespace': given['namespace'], 'rviz': rviz}
+    foxglove = read('foxglove', given['foxglove'], False)
+    if foxglove and find_spec('foxglove') is None:
+        raise ConfigError(
+            'foxglove is true: expected false, as its package is not installed; pip install '
+            'foxglove-sdk'
+        )
+    shared = {'params_file': file, 'namespace': given['namespace']}
+    return shared | {'rviz': rviz, 'foxglove': foxglove}
 
 
 def require_success(process: str, returncode: int) -> None:
@@ -120,6 +130,7 @@ REPLAY_ARGUMENTS: dict[str, tuple[str, str]] = {
     'params_file': ('', 'YAML file with parameters of the controller'),
     'namespace': ('', 'namespace of all topics; empty: that of the recording'),
     'rviz': ('false', 'also start RViz: true or false'),
+    'foxglove': ('false', 'also serve the graph to Foxglove and Lichtblick: true or false'),
 }
 
 
@@ -135,6 +146,7 @@ class ReplayValues:
     params_file: str
     namespace: str
     rviz: bool
+    foxglove: bool
 
 
 def replay_values(given: dict[str, str], topics: list[str]) -> ReplayValues:

@@ -33,11 +33,13 @@ IMPURE = {
 GLOBAL_TOPICS = {'/clock', '/diagnostics', '/tf'}  # whose names ROS 2 fixes
 ROSDEP = {'PIL': 'python3-pil'}  # where the key of rosdep is not python3-<package>
 WITH_PIP = {  # not from rosdep
-    'gymnasium', 'imageio', 'lz4', 'mcap', 'numba', 'pettingzoo', 'pyarrow', 'rosbags',
-    'onnx', 'onnxruntime', 'safetensors', 'stable_baselines3', 'torch', 'tyro', 'zstandard',
+    'foxglove', 'gymnasium', 'imageio', 'lz4', 'mcap', 'numba', 'onnx', 'onnxruntime',
+    'pettingzoo', 'pyarrow', 'rosbags', 'safetensors', 'stable_baselines3', 'torch', 'tyro',
+    'zstandard',
 }  # fmt: skip
 PYPI = {  # where the distribution has another name
     'PIL': 'pillow',
+    'foxglove': 'foxglove-sdk',
     'stable_baselines3': 'stable-baselines3',
     'yaml': 'pyyaml',
 }
@@ -265,7 +267,7 @@ def test_manifest_names_what_is_imported(manifest: Any) -> None:
 def test_setup_names_what_is_imported(distribution: Any) -> None:
     extras = distribution.extras_require
     always = {re.split(r'[<>=\[]', name)[0] for name in distribution.install_requires}
-    chosen = [name for key in ('fast', 'envs', 'sb3', 'onnx') for name in extras[key]]
+    chosen = [name for key in ('fast', 'envs', 'sb3', 'onnx', 'foxglove') for name in extras[key]]
     optional = {re.split(r'[<>=\[]', name)[0] for name in chosen}
     for package in all_imports('shepherd_ros'):
         if not is_ros(package):

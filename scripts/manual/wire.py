@@ -16,6 +16,7 @@ from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.parameter import parameter_value_to_python
 from shepherd_ros import nodes
 from shepherd_ros.nodes.compose import NODES
+from shepherd_ros.nodes.foxglove_node import FoxgloveNode
 from shepherd_ros.nodes.mux_requests import MuxRequests
 from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.wire.topics import contract, topic_table
@@ -33,6 +34,7 @@ A ray without a return is `+inf`, as
 [REP 117](https://www.ros.org/reps/rep-0117.html) says.
 """
 HIDDEN = ('use_sim_time', 'start_type_description_service')
+DOCUMENTED = {**NODES, 'foxglove': FoxgloveNode}  # nodes that have parameters and no options
 TYPES = {
     'SetBool': 'std_srvs/srv/SetBool',
     'Trigger': 'std_srvs/srv/Trigger',
@@ -63,7 +65,7 @@ def quiet_node(name: str) -> Iterator[ShepherdNode]:
     set_logger_level('', LoggingSeverity.FATAL)
     context = Context()
     rclpy.init(args=[], context=context)
-    node = NODES[name](context=context)
+    node = DOCUMENTED[name](context=context)
     try:
         yield node
     finally:
@@ -94,7 +96,7 @@ def _limits(given: Any) -> tuple[Any, Any]:
 def parameters() -> str:
     """Return the page of the parameters of all nodes."""
     parts = []
-    for name in NODES:
+    for name in DOCUMENTED:
         with quiet_node(name) as node:
             names = sorted(
                 n

@@ -5,6 +5,7 @@ __all__ = [
     'controller_probe',
     'episode_probe',
     'executables',
+    'foxglove_node',
     'herd_node',
     'mux_requests',
     'player_node',

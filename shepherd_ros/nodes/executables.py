@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib import import_module
 import signal
+import sys
 
 FILES = {  # of all executables but those of single controllers
     'flock_sim': 'flock_node',
@@ -21,7 +22,9 @@ FILES = {  # of all executables but those of single controllers
     'controller': 'heuristic_node',
     'policy': 'policy_node',
     'console': 'console_node',
+    'foxglove': 'foxglove_node',
 }
+PACKAGES = {'foxglove': 'foxglove-sdk'}  # modules that come with extras of their names
 
 
 def names() -> list[str]:
@@ -38,7 +41,18 @@ def __getattr__(name: str) -> Callable[[], int]:
 
     def main() -> int:
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # until the node has handlers of its own
-        file = import_module(f'shepherd_ros.nodes.{FILES.get(name, "heuristic_node")}')
+        try:
+            file = import_module(f'shepherd_ros.nodes.{FILES.get(name, "heuristic_node")}')
+        except ModuleNotFoundError as error:
+            if error.name not in PACKAGES:
+                raise
+            package = PACKAGES[error.name]
+            print(
+                f'{name}: {package} is not installed: pip install {package}, or '
+                f"'shepherd_ros[{error.name}]'",
+                file=sys.stderr,
+            )
+            return 2
         return int((file.main if name in FILES else getattr(file, name))())
 
     return main

@@ -161,6 +161,9 @@ class ShepherdNode(ParameterNode):
         """Return seconds of a wall clock that never jumps."""
         return time.monotonic()
 
+    def serve(self) -> None:
+        """Open what the node serves; not called for help or documentation."""
+
     def end(self) -> int:
         """Finish what was begun and return the exit code of the process."""
         return 0

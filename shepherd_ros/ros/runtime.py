@@ -123,6 +123,7 @@ def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None)
         else:
             for node in nodes:
                 warn_of_unknown(node)
+                node.serve()
             spin(nodes, until=lambda: nodes[0].finished or bool(came))
         code = 0 if words else nodes[0].end()
     except (ConfigError, ParameterException) as error:
