@@ -3,9 +3,26 @@
 
 const FAMILY = 'system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif';
 const PALETTE = {};
-const PAINTED = ['sheep', 'other', 'goal', 'goal-fill', 'ground', 'grid', 'frame', 'ink', 'faint',
-  'accent', 'on-shepherd', 'shepherd-0', 'shepherd-1', 'shepherd-2', 'shepherd-3', 'shepherd-4'];
-const repainters = [];
+const PAINTED = [
+  'sheep',
+  'other',
+  'goal',
+  'goal-fill',
+  'ground',
+  'grid',
+  'frame',
+  'ink',
+  'faint',
+  'accent',
+  'warn',
+  'on-shepherd',
+  'shepherd-0',
+  'shepherd-1',
+  'shepherd-2',
+  'shepherd-3',
+  'shepherd-4',
+];
+const repainters = new Set();
 
 const find = (id) => document.getElementById(id);
 const shepherdColor = (h) => PALETTE[`shepherd-${h % 5}`];
@@ -35,13 +52,29 @@ function readPalette() {
 // Call when the colours change, as in the evening.
 function onPalette(repaint) {
   if (!PALETTE.ink) readPalette();
-  repainters.push(repaint);
+  repainters.add(repaint);
 }
 matchMedia('(prefers-color-scheme: dark)').addEventListener('change', readPalette);
 
+// Set the text of an element, if it is another.
+function write(where, text) {
+  if (where.textContent !== text) where.textContent = text;
+}
+
+// The choices of a menu; a menu that has them already is left alone.
+function options(menu, values, nameOf = String) {
+  const wanted = values.map((value) => `${value}\n${nameOf(value)}`).join('\n');
+  if (menu.dataset.options === wanted) return;
+  menu.dataset.options = wanted;
+  const before = menu.value;
+  menu.replaceChildren(...values.map((value) => new Option(nameOf(value), value)));
+  if (values.map(String).includes(before)) menu.value = before;
+}
+
 // The context of a canvas of a size in px, empty, on a screen with dots per px.
 function sized(canvas, width, height, dots) {
-  const c = canvas.getContext('2d'), [across, down] = [width, height].map((s) => Math.round(s * dots));
+  const c = canvas.getContext('2d'),
+    [across, down] = [width, height].map((s) => Math.round(s * dots));
   if (canvas.width !== across || canvas.height !== down) {
     canvas.width = across;
     canvas.height = down;
@@ -55,7 +88,8 @@ function sized(canvas, width, height, dots) {
 
 // Round numbers inside a span, about so many, and how many decimals tell them apart.
 function ticks(low, high, count) {
-  const rough = (high - low) / Math.max(1, count), decade = 10 ** Math.floor(Math.log10(rough));
+  const rough = (high - low) / Math.max(1, count),
+    decade = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((m) => m * decade).find((s) => s >= rough * 0.999) ?? 10 * decade;
   const numbers = [];
   for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++)

@@ -2,7 +2,9 @@
 // for those that go on.
 'use strict';
 
-const LEFT = 44, RIGHT = 12, FOOT = 20; // [px] beside and below a curve
+const LEFT = 44,
+  RIGHT = 12,
+  FOOT = 20; // [px] beside and below a curve
 const DENSE = 3; // points per px from which lines are drawn through the extremes of each px
 
 // Lowest and highest of the axis of a curve; a share has the whole of [0, 1].
@@ -31,7 +33,8 @@ function reached(times, moment) {
   let [low, high] = [0, times.length];
   while (high - low > 1) {
     const middle = (low + high) >> 1;
-    if (times[middle] <= moment) low = middle; else high = middle;
+    if (times[middle] <= moment) low = middle;
+    else high = middle;
   }
   return low;
 }
@@ -50,41 +53,66 @@ class Curves {
       const heading = element('h2', row, unit ? `${name} [${unit}]` : name);
       const value = element('span', heading);
       const plot = element('div', row, '', 'plot');
-      const canvas = element('canvas', plot), cursor = element('i', plot, '', 'cursor');
+      const canvas = element('canvas', plot),
+        cursor = element('i', plot, '', 'cursor');
       const last = index === metrics.length - 1;
       if (last) row.classList.add('last');
-      return {unit, value, plot, canvas, cursor, mark: element('i', plot, '', 'mark'), last,
-        values: []};
+      return {
+        unit,
+        value,
+        plot,
+        canvas,
+        cursor,
+        mark: element('i', plot, '', 'mark'),
+        last,
+        values: [],
+      };
     });
     this.times = [];
     this.end = 1; // [s] at the right
     this.index = -1; // of the cursor
-    new ResizeObserver(() => this.paint()).observe(box);
-    onPalette(() => this.paint());
+    this.repaint = () => this.paint();
+    this.observer = new ResizeObserver(this.repaint);
+    this.observer.observe(box);
+    onPalette(this.repaint);
     if (go) this.lead(go);
   }
 
-  // Take times (T,) [s] and for each metric values (T,), NaN where there is none.
-  set(times, curves, end = times.at(-1)) {
+  // Take the curves from the page.
+  close() {
+    this.observer.disconnect();
+    repainters.delete(this.repaint);
+    this.box.replaceChildren();
+  }
+
+  // Take times (T,) [s] and for each metric values (T,), NaN where there is none; other is another
+  // future with times and curves of its own.
+  set(times, curves, other = null) {
     this.times = times;
+    this.other = other;
     this.begin = times[0] ?? 0;
+    const end = Math.max(times.at(-1), other?.times.at(-1) ?? -Infinity);
     this.end = end > this.begin ? end : this.begin + 1;
     this.rows.forEach((row, i) => {
       row.values = curves[i];
-      row.span = span(curves[i], row.unit);
+      row.span = span([...curves[i], ...(other?.curves[i] ?? [])], row.unit);
       row.digits = curves[i].every(whole) ? 0 : decimals(Math.max(-row.span[0], row.span[1]));
     });
     this.paint();
   }
 
-  across(time) { return LEFT + this.width * (time - this.begin) / (this.end - this.begin); }
+  across(time) {
+    return LEFT + (this.width * (time - this.begin)) / (this.end - this.begin);
+  }
 
   // Put the cursor on a point of the curves, -1 for the newest.
   point(index) {
     this.index = index;
-    const k = index < 0 ? this.times.length - 1 : index, x = this.across(this.times[k]);
+    const k = index < 0 ? this.times.length - 1 : index,
+      x = this.across(this.times[k]);
     for (const row of this.rows) {
-      const value = row.values[k], known = Number.isFinite(value);
+      const value = row.values[k],
+        known = Number.isFinite(value);
       row.value.textContent = known ? value.toFixed(row.digits) : 'none';
       row.cursor.hidden = index < 0;
       row.mark.hidden = !known;
@@ -93,7 +121,9 @@ class Curves {
     }
   }
 
-  down({span: [low, high]}, value) { return this.height * (high - value) / (high - low); }
+  down({span: [low, high]}, value) {
+    return (this.height * (high - value)) / (high - low);
+  }
 
   paint() {
     if (!this.times.length || !this.box.clientWidth) return;
@@ -104,13 +134,15 @@ class Curves {
   }
 
   paintRow(row) {
-    const {width, height} = this, dots = window.devicePixelRatio || 1, [low, high] = row.span;
+    const {width, height} = this,
+      dots = window.devicePixelRatio || 1,
+      [low, high] = row.span;
     const c = sized(row.canvas, LEFT + width + RIGHT, height + (row.last ? FOOT : 0), dots);
     row.cursor.style.height = `${height}px`;
     c.font = `12px ${FAMILY}`;
     c.strokeStyle = PALETTE.grid;
     c.fillStyle = PALETTE.faint;
-    const up = ticks(low, high, Math.max(2, height / 34));
+    const up = ticks(low, high, Math.max(2, height / 26));
     const along = ticks(this.begin, this.end, Math.max(2, width / 70));
     c.beginPath();
     for (const y of up.numbers) {
@@ -128,15 +160,18 @@ class Curves {
       if (at > 5 && at < height - 1) c.fillText(tickText(y, up.decimals), LEFT - 6, at + 4);
     }
     c.textAlign = 'center';
-    const last = along.numbers.at(-1), words = (t) => tickText(t, along.decimals);
+    const last = along.numbers.at(-1),
+      words = (t) => tickText(t, along.decimals);
     for (const time of row.last ? along.numbers : [])
       c.fillText(words(time) + (time === last ? ' s' : ''), this.across(time), height + 15);
-    this.paintLine(c, row);
+    const {other} = this;
+    if (other)
+      this.paintLine(c, row, other.times, other.curves[this.rows.indexOf(row)], PALETTE.warn);
+    this.paintLine(c, row, this.times, row.values, PALETTE.accent);
   }
 
-  paintLine(c, row) {
-    const {times} = this, {values} = row;
-    c.strokeStyle = PALETTE.accent;
+  paintLine(c, row, times, values, color) {
+    c.strokeStyle = color;
     c.lineWidth = 2;
     c.lineJoin = 'round';
     c.beginPath();
@@ -167,6 +202,8 @@ class Curves {
     };
     this.box.classList.add('leads');
     this.box.addEventListener('pointerdown', seek);
-    this.box.addEventListener('pointermove', (event) => { if (event.buttons & 1) seek(event); });
+    this.box.addEventListener('pointermove', (event) => {
+      if (event.buttons & 1) seek(event);
+    });
   }
 }

@@ -19,11 +19,17 @@ class Ground {
     this.listen();
   }
 
-  X(x) { return (this.left + this.right) / 2 + (x - this.center[0]) * this.scale; }
-  Y(y) { return (this.top + this.bottom) / 2 - (y - this.center[1]) * this.scale; }
+  X(x) {
+    return (this.left + this.right) / 2 + (x - this.center[0]) * this.scale;
+  }
+  Y(y) {
+    return (this.top + this.bottom) / 2 - (y - this.center[1]) * this.scale;
+  }
   place(px, py) {
-    return [this.center[0] + (px - (this.left + this.right) / 2) / this.scale,
-      this.center[1] - (py - (this.top + this.bottom) / 2) / this.scale];
+    return [
+      this.center[0] + (px - (this.left + this.right) / 2) / this.scale,
+      this.center[1] - (py - (this.top + this.bottom) / 2) / this.scale,
+    ];
   }
 
   resize() {
@@ -79,7 +85,8 @@ class Ground {
     c.fillStyle = PALETTE.faint;
     const [[x0, y1], [x1, y0]] = [this.place(left, top), this.place(right, bottom)];
     const count = (pixels) => Math.max(2, pixels / 80);
-    const along = ticks(x0, x1, count(right - left)), up = ticks(y0, y1, count(bottom - top));
+    const along = ticks(x0, x1, count(right - left)),
+      up = ticks(y0, y1, count(bottom - top));
     c.beginPath();
     for (const x of along.numbers) {
       c.moveTo(Math.round(this.X(x)) + 0.5, top);
@@ -119,11 +126,13 @@ class Ground {
       if (event.button || event.target.closest('button')) return;
       box.setPointerCapture(event.pointerId);
       pointers.set(event.pointerId, at(event));
-      held = pointers.size === 1 ? this.grab(...this.place(...at(event)), event.pointerType) : null;
+      held =
+        pointers.size === 1 ? this.grab(...this.place(...at(event)), event.pointerType) : null;
     });
     box.addEventListener('pointermove', (event) => {
       if (!pointers.has(event.pointerId)) return;
-      const [x, y] = at(event), [fromX, fromY] = pointers.get(event.pointerId);
+      const [x, y] = at(event),
+        [fromX, fromY] = pointers.get(event.pointerId);
       const before = pointers.size === 2 ? between() : null;
       pointers.set(event.pointerId, [x, y]);
       if (held) held.move(...this.place(x, y));
@@ -134,23 +143,34 @@ class Ground {
         if (before[0] > 10) this.zoom(far / before[0], mx, my);
       }
     });
-    for (const [kind, dropped] of [['pointerup', true], ['pointercancel', false]]) {
+    for (const [kind, dropped] of [
+      ['pointerup', true],
+      ['pointercancel', false],
+    ]) {
       box.addEventListener(kind, (event) => {
         if (!pointers.delete(event.pointerId)) return;
         held?.drop(dropped);
         held = null;
       });
     }
-    box.addEventListener('wheel', (event) => {
-      event.preventDefault();
-      this.zoom(Math.exp(-0.0015 * event.deltaY * (event.deltaMode ? 20 : 1)), ...at(event));
-    }, {passive: false});
+    box.addEventListener(
+      'wheel',
+      (event) => {
+        event.preventDefault();
+        this.zoom(Math.exp(-0.0015 * event.deltaY * (event.deltaMode ? 20 : 1)), ...at(event));
+      },
+      {passive: false},
+    );
     const bar = element('div', box, '', 'zooms');
     for (const [name, path, act] of [
       ['Zoom in', 'M11 5h2v6h6v2h-6v6h-2v-6H5v-2h6z', () => this.zoom(ZOOM)],
       ['Zoom out', 'M5 11h14v2H5z', () => this.zoom(1 / ZOOM)],
-      ['Fit all in view', 'M4 4h6v2H6v4H4zM14 4h6v6h-2V6h-4zM4 14h2v4h4v2H4zM18 14h2v6h-6v-2h4z',
-        () => this.reset()],
-    ]) iconButton(bar, name, path, act);
+      [
+        'Fit all in view',
+        'M4 4h6v2H6v4H4zM14 4h6v6h-2V6h-4zM4 14h2v4h4v2H4zM18 14h2v6h-6v-2h4z',
+        () => this.reset(),
+      ],
+    ])
+      iconButton(bar, name, path, act);
   }
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 STYLES = ('palette.css', 'look.css')
-DRAWING = ('canvas.js', 'ground.js', 'plane.js', 'curves.js')  # in this order
+DRAWING = ('canvas.js', 'ground.js', 'tip.js', 'plane.js', 'curves.js')  # in this order
 
 
 def beside(*names: str) -> str:

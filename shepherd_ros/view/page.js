@@ -1,5 +1,5 @@
-// The replay of the record of the page: the controls, and the clock that moves plane and
-// curves (see record.js, plane.js, curves.js).
+// The replay of the record of the page: the controls, and the clock that moves plane and curves
+// (see record.js, plane.js, curves.js).
 'use strict';
 
 const RECORD = JSON.parse(find('record').textContent);
@@ -34,7 +34,9 @@ function makeLegend(seen, changed) {
   const read = () => {
     seen.lidar = whose.value === '' ? null : Number(whose.value);
     seen.channels = boxes.filter((box) => box.checked).map((box) => Number(box.value));
-    boxes.forEach((box) => { box.disabled = seen.lidar === null; });
+    boxes.forEach((box) => {
+      box.disabled = seen.lidar === null;
+    });
     changed();
   };
   find('lidar').addEventListener('change', read);
@@ -66,12 +68,20 @@ function makeCurves(data, show) {
 let PLANE = null;
 
 async function start() {
-  const data = await unpackRecord(RECORD), {times, steps, inGoal, n} = data, last = times.length - 1;
+  const data = await unpackRecord(RECORD),
+    {times, steps, inGoal, n} = data,
+    last = times.length - 1;
   const seen = {lidar: null, channels: []};
-  const scrub = find('scrub'), play = find('play'), total = steps.at(-1);
+  const scrub = find('scrub'),
+    play = find('play'),
+    total = steps.at(-1);
   const speed = makeSpeeds(times);
   const precision = last ? exact(times[1] - times[0]) : 1;
-  let playing = false, at = 0, moment = times[0], then = 0, frame = 0;
+  let playing = false,
+    at = 0,
+    moment = times[0],
+    then = 0,
+    frame = 0;
 
   PLANE = new Plane(find('plane'));
   PLANE.ground.fit(RECORD.limits);
@@ -80,7 +90,7 @@ async function start() {
     at = step;
     moment = now;
     scrub.value = step;
-    const share = `${Math.floor(100 * inGoal[step] / n)} % in the goal`;
+    const share = `${Math.floor((100 * inGoal[step]) / n)} % in the goal`;
     find('clock').textContent = `${times[step].toFixed(precision)} s`;
     find('count').textContent = `step ${steps[step]} of ${total}, ${share}`;
     scrub.setAttribute('aria-valuetext', find('clock').textContent);
@@ -105,7 +115,8 @@ async function start() {
     moment += speed() * passed;
     const step = reached(times, moment);
     if (step !== at) show(step, moment);
-    if (step === last) set(false); else frame = requestAnimationFrame(tick);
+    if (step === last) set(false);
+    else frame = requestAnimationFrame(tick);
   };
   const jump = (by) => show(Math.min(last, Math.max(0, at + by)));
 
@@ -113,13 +124,25 @@ async function start() {
   for (const control of [scrub, play, find('back'), find('ahead')]) control.disabled = !last;
   scrub.addEventListener('input', () => show(Number(scrub.value)));
   play.addEventListener('click', () => set(!playing));
-  for (const [name, by] of [['back', -1], ['ahead', 1]]) {
-    find(name).addEventListener('click', () => { set(false); jump(by); });
+  for (const [name, by] of [
+    ['back', -1],
+    ['ahead', 1],
+  ]) {
+    find(name).addEventListener('click', () => {
+      set(false);
+      jump(by);
+    });
   }
-  listenToKeys({
-    ' ': () => set(!playing), ArrowLeft: (far) => jump(-far), ArrowRight: (far) => jump(far),
-    Home: () => show(0), End: () => show(last),
-  }, () => set(false));
+  listenToKeys(
+    {
+      ' ': () => set(!playing),
+      ArrowLeft: (far) => jump(-far),
+      ArrowRight: (far) => jump(far),
+      Home: () => show(0),
+      End: () => show(last),
+    },
+    () => set(false),
+  );
   makeLegend(seen, repaint);
   show(0);
   document.body.dataset.ready = 'yes';
@@ -128,7 +151,9 @@ async function start() {
 // Keys go to the replay, too, after a click on a control.
 function listenToKeys(acts, rest) {
   let pointed = false;
-  document.addEventListener('pointerdown', () => { pointed = true; });
+  document.addEventListener('pointerdown', () => {
+    pointed = true;
+  });
   for (const kind of ['click', 'change']) {
     document.addEventListener(kind, ({target}) => {
       const control = kind === 'click' ? target.closest('button, [type=checkbox]') : target;
@@ -150,5 +175,6 @@ function listenToKeys(acts, rest) {
 start().catch((error) => {
   console.error(error);
   find('failure').hidden = false;
-  find('failure').textContent = `The replay could not be started (${error}). It needs a browser of 2023 or later.`;
+  find('failure').textContent =
+    `The replay could not be started (${error}). It needs a browser of 2023 or later.`;
 });

@@ -1,31 +1,27 @@
 // The plane of a page: one moment of a world, painted on a canvas over its ground (see ground.js).
-// A moment is {sheep, shepherds, goal, goalRadius}, positions as x0, y0, x1, y1, ... in metres, and
-// where there are any: {trail, rays, labels, held, other, map}; tracks of earlier moments are trail.
+// A moment is {sheep, shepherds, goal, goalRadius}, positions as x0, y0, x1, y1, ... in metres,
+// and where there are any: {trail, rays, labels, held, other, map}; tracks of earlier moments are
+// trail.
 'use strict';
 
-const NEAR = 12; // [px] from a body to the pointer that asks for it
 const BADGE = 9.5; // [px] radius of a shepherd
 const TRAIL_ALPHA = 0.8; // of the newest part of a track
 
-const dotRadius = (count) => (2 / 3) * Math.min(8, Math.max(2, 5.5 * (100 / count) ** 0.3)); // [px]
+const SHARE = 2 / 3; // of a dot's width in pt that is its radius in px
+const dotRadius = (count) => SHARE * Math.min(8, Math.max(2, 5.5 * (100 / count) ** 0.3));
 
 class Plane {
   constructor(box) {
     this.ground = new Ground(box);
     this.canvas = element('canvas', box);
-    this.tip = element('div', box, '', 'tip');
-    this.tip.hidden = true;
+    this.tip = new Tip(this, box);
     this.moment = null;
-    this.pointer = null; // where the tip is asked for
     this.sprites = new Map();
     this.ground.changed = () => this.paint();
     onPalette(() => {
       this.sprites.clear();
       this.ground.paint();
     });
-    box.addEventListener('pointermove', (event) => this.ask(event));
-    box.addEventListener('pointerdown', (event) => this.ask(event));
-    box.addEventListener('pointerleave', () => this.ask(null));
   }
 
   show(moment) {
@@ -34,7 +30,8 @@ class Plane {
   }
 
   paint() {
-    const {ground, canvas, moment} = this, {width, height, dots, left, right, top, bottom} = ground;
+    const {ground, canvas, moment} = this,
+      {width, height, dots, left, right, top, bottom} = ground;
     if (!width || !moment) return;
     const c = sized(canvas, width, height, dots);
     this.size = Math.min(1.3, Math.max(0.75, Math.min(right - left, bottom - top) / 520));
@@ -51,11 +48,13 @@ class Plane {
     if (moment.sheep.length > 2) this.paintCenter(c, moment.sheep);
     this.paintShepherds(c, moment);
     c.restore();
-    this.tell();
+    this.tip.tell();
   }
 
   paintMap(c, {image, limits: [left, right, bottom, top]}) {
-    const {ground} = this, x = ground.X(left), y = ground.Y(top);
+    const {ground} = this,
+      x = ground.X(left),
+      y = ground.Y(top);
     c.globalAlpha = 0.7;
     c.imageSmoothingQuality = 'high';
     c.drawImage(image, x, y, ground.X(right) - x, ground.Y(bottom) - y);
@@ -73,9 +72,10 @@ class Plane {
     c.stroke();
   }
 
-  // rays: {x, y, pitch, channels: [{ranges, color, hit}]}, ranges in metres, Infinity on free ones.
+  // rays: {x, y, pitch, channels: [{ranges, color, hit}]}, ranges [m], Infinity on free ones.
   paintRays(c, {x, y, pitch, channels}) {
-    const {ground} = this, from = [ground.X(x), ground.Y(y)];
+    const {ground} = this,
+      from = [ground.X(x), ground.Y(y)];
     for (const {ranges, color, hit} of channels) {
       const ends = [];
       ranges.forEach((range, ray) => {
@@ -94,19 +94,22 @@ class Plane {
       c.stroke();
       c.globalAlpha = 1;
       c.fillStyle = hit;
-      for (let k = 0; k < ends.length; k += 2) c.fillRect(ends[k] - 1.2, ends[k + 1] - 1.2, 2.4, 2.4);
+      for (let k = 0; k < ends.length; k += 2)
+        c.fillRect(ends[k] - 1.2, ends[k + 1] - 1.2, 2.4, 2.4);
     }
   }
 
   // trail: where the shepherds were at the moments before, the newest last.
   paintTrail(c, trail) {
-    const {ground} = this, team = (trail[0]?.length ?? 0) / 2;
+    const {ground} = this,
+      team = (trail[0]?.length ?? 0) / 2;
     c.lineWidth = 2.4;
     for (let h = 0; h < team; h++) {
       c.strokeStyle = shepherdColor(h);
       for (let k = 1; k < trail.length; k++) {
-        const from = trail[k - 1], to = trail[k];
-        c.globalAlpha = TRAIL_ALPHA * (k + 1) / trail.length;
+        const from = trail[k - 1],
+          to = trail[k];
+        c.globalAlpha = (TRAIL_ALPHA * (k + 1)) / trail.length;
         c.beginPath();
         c.moveTo(ground.X(from[2 * h]), ground.Y(from[2 * h + 1]));
         c.lineTo(ground.X(to[2 * h]), ground.Y(to[2 * h + 1]));
@@ -123,26 +126,40 @@ class Plane {
     c.lineWidth = 2.4;
     for (let h = 0; h < shepherds.length / 2; h++) {
       c.beginPath();
-      c.arc(ground.X(shepherds[2 * h]), ground.Y(shepherds[2 * h + 1]), BADGE * this.size - 1,
-        0, 2 * Math.PI);
+      c.arc(
+        ground.X(shepherds[2 * h]),
+        ground.Y(shepherds[2 * h + 1]),
+        BADGE * this.size - 1,
+        0,
+        2 * Math.PI,
+      );
       c.strokeStyle = shepherdColor(h);
       c.stroke();
     }
   }
 
   paintSheep(c, sheep, color, edge) {
-    const {ground} = this, radius = this.size * dotRadius(sheep.length / 2);
+    const {ground} = this,
+      radius = this.size * dotRadius(sheep.length / 2);
     const {image, half} = this.dot(radius, color, edge);
     for (let k = 0; k < sheep.length; k += 2)
-      c.drawImage(image, ground.X(sheep[k]) - half, ground.Y(sheep[k + 1]) - half, 2 * half, 2 * half);
+      c.drawImage(
+        image,
+        ground.X(sheep[k]) - half,
+        ground.Y(sheep[k + 1]) - half,
+        2 * half,
+        2 * half,
+      );
   }
 
   // The picture of a sheep, painted once and copied for each.
   dot(radius, color, edge) {
-    const {dots} = this.ground, key = `${radius} ${color} ${dots}`;
+    const {dots} = this.ground,
+      key = `${radius} ${color} ${dots}`;
     if (!this.sprites.has(key)) {
       if (this.sprites.size > 20) this.sprites.clear();
-      const half = Math.ceil((radius * 1.12 + 1) * dots) / dots, image = document.createElement('canvas');
+      const half = Math.ceil((radius * 1.12 + 1) * dots) / dots,
+        image = document.createElement('canvas');
       const c = sized(image, 2 * half, 2 * half, dots);
       c.beginPath();
       c.arc(half, half, radius, 0, 2 * Math.PI);
@@ -157,14 +174,19 @@ class Plane {
   }
 
   paintCenter(c, sheep) {
-    const {ground} = this, n = sheep.length / 2;
+    const {ground} = this,
+      n = sheep.length / 2;
     let [mx, my] = [0, 0];
     for (let k = 0; k < sheep.length; k += 2) {
       mx += sheep[k] / n;
       my += sheep[k + 1] / n;
     }
-    const x = ground.X(mx), y = ground.Y(my);
-    for (const [style, line, arm] of [[PALETTE.ground, 5, 8], [PALETTE.ink, 2.2, 6.5]]) {
+    const x = ground.X(mx),
+      y = ground.Y(my);
+    for (const [style, line, arm] of [
+      [PALETTE.ground, 5, 8],
+      [PALETTE.ink, 2.2, 6.5],
+    ]) {
       c.strokeStyle = style;
       c.lineWidth = line;
       c.beginPath();
@@ -178,12 +200,14 @@ class Plane {
 
   // held: shepherds with a ring, painted on top of all others; labels: words below each.
   paintShepherds(c, {shepherds, held = [], labels = []}) {
-    const {ground, size} = this, team = shepherds.length / 2;
+    const {ground, size} = this,
+      team = shepherds.length / 2;
     const order = [...Array(team).keys()].sort((a, b) => held.includes(a) - held.includes(b));
     c.textAlign = 'center';
     c.lineJoin = 'round';
     for (const h of order) {
-      const x = ground.X(shepherds[2 * h]), y = ground.Y(shepherds[2 * h + 1]);
+      const x = ground.X(shepherds[2 * h]),
+        y = ground.Y(shepherds[2 * h + 1]);
       c.beginPath();
       c.arc(x, y, BADGE * size, 0, 2 * Math.PI);
       c.fillStyle = shepherdColor(h);
@@ -202,39 +226,5 @@ class Plane {
       c.fillStyle = PALETTE.ink;
       c.fillText(labels[h], x, y + BADGE * size + 13);
     }
-  }
-
-  ask(event) {
-    const inside = event && !(event.buttons && event.pointerType === 'mouse');
-    const rect = inside && this.canvas.getBoundingClientRect();
-    this.pointer = inside ? [event.clientX - rect.left, event.clientY - rect.top] : null;
-    this.tell();
-  }
-
-  // Name the body under the pointer and where it is.
-  tell() {
-    const found = this.pointer && this.moment && this.nearest(...this.pointer);
-    this.tip.hidden = !found;
-    if (!found) return;
-    const {name, x, y} = found, {ground} = this;
-    this.tip.textContent = `${name}\n${x.toFixed(2)} m, ${y.toFixed(2)} m`;
-    const flip = ground.X(x) > ground.width - 150;
-    this.tip.style.transform = `translate(${ground.X(x) + (flip ? -12 : 12)}px, ${ground.Y(y) + 10}px)`
-      + (flip ? ' translateX(-100%)' : '');
-  }
-
-  nearest(px, py) {
-    const {ground, moment} = this;
-    let best = NEAR, found = null;
-    for (const [kind, places] of [['shepherd', moment.shepherds], ['sheep', moment.sheep]]) {
-      for (let k = 0; k < places.length; k += 2) {
-        const away = Math.hypot(ground.X(places[k]) - px, ground.Y(places[k + 1]) - py);
-        if (away < best) {
-          best = away;
-          found = {kind, index: k / 2, name: `${kind} ${k / 2}`, x: places[k], y: places[k + 1]};
-        }
-      }
-    }
-    return found;
   }
 }

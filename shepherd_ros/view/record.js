@@ -3,12 +3,16 @@
 
 const FREE = 65535;
 const TYPES = {
-  uint16: Uint16Array, int32: Int32Array, float32: Float32Array, float64: Float64Array,
+  uint16: Uint16Array,
+  int32: Int32Array,
+  float32: Float32Array,
+  float64: Float64Array,
 };
 
 // Numbers that were packed: base64, zlib, then little-endian numbers of a type.
 async function unpack(pack) {
-  const text = atob(pack.data), bytes = new Uint8Array(text.length);
+  const text = atob(pack.data),
+    bytes = new Uint8Array(text.length);
   for (let k = 0; k < text.length; k++) bytes[k] = text.charCodeAt(k);
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream('deflate'));
   return new TYPES[pack.type](await new Response(stream).arrayBuffer());
@@ -16,7 +20,8 @@ async function unpack(pack) {
 
 // Coordinates that were rounded, as x0, y0, x1, y1, ...
 async function places(pack) {
-  const codes = await unpack(pack), metres = new Float64Array(codes.length);
+  const codes = await unpack(pack),
+    metres = new Float64Array(codes.length);
   for (let k = 0; k < codes.length; k++) metres[k] = pack.low + pack.step * codes[k];
   return metres;
 }
@@ -25,10 +30,12 @@ async function places(pack) {
 async function unpackRecord(record) {
   const names = ['times', 'steps', 'goal', 'inGoal'];
   const [times, steps, goal, inGoal] = await Promise.all(names.map((n) => unpack(record[n])));
-  const sheep = await places(record.sheep), shepherds = await places(record.shepherds);
+  const sheep = await places(record.sheep),
+    shepherds = await places(record.shepherds);
   const curves = await Promise.all(record.curves.map(unpack));
-  const ranges = record.lidar && await unpack(record.lidar);
-  const n = record.sheep.shape[1], team = record.shepherds.shape[1];
+  const ranges = record.lidar && (await unpack(record.lidar));
+  const n = record.sheep.shape[1],
+    team = record.shepherds.shape[1];
   return {record, times, steps, goal, inGoal, sheep, shepherds, curves, ranges, n, team};
 }
 
@@ -36,12 +43,16 @@ const placesAt = (flat, count, step) => flat.subarray(2 * step * count, 2 * (ste
 
 // The moment of a step for the plane; seen says whose lidar and which channels.
 function momentAt(data, step, seen) {
-  const {record, sheep, shepherds, goal, n, team} = data, first = Math.max(0, step - record.trail);
+  const {record, sheep, shepherds, goal, n, team} = data,
+    first = Math.max(0, step - record.trail);
   const trail = [];
   for (let k = first; k <= step; k++) trail.push(placesAt(shepherds, team, k));
   return {
-    sheep: placesAt(sheep, n, step), shepherds: trail.at(-1), trail,
-    goal: placesAt(goal, 1, step), goalRadius: record.goalRadius,
+    sheep: placesAt(sheep, n, step),
+    shepherds: trail.at(-1),
+    trail,
+    goal: placesAt(goal, 1, step),
+    goalRadius: record.goalRadius,
     rays: seen.lidar === null ? null : raysAt(data, step, seen),
     held: seen.lidar === null ? [] : [record.lidar.of[seen.lidar]],
   };
@@ -49,7 +60,8 @@ function momentAt(data, step, seen) {
 
 function raysAt(data, step, seen) {
   const {record} = data;
-  const [, count, channels, rays] = record.lidar.shape, h = record.lidar.of[seen.lidar];
+  const [, count, channels, rays] = record.lidar.shape,
+    h = record.lidar.of[seen.lidar];
   const [x, y] = placesAt(data.shepherds, data.team, step).subarray(2 * h);
   const ranges = (channel) => {
     const start = ((step * count + seen.lidar) * channels + channel) * rays;
@@ -57,7 +69,9 @@ function raysAt(data, step, seen) {
     return Array.from(data.ranges.subarray(start, start + rays), metres);
   };
   const shown = seen.channels.map((channel) => ({
-    ranges: ranges(channel), color: record.colors.rays[channel], hit: record.colors.hits[channel],
+    ranges: ranges(channel),
+    color: record.colors.rays[channel],
+    hit: record.colors.hits[channel],
   }));
   return {x, y, pitch: record.lidar.pitch, channels: shown};
 }
