@@ -22,7 +22,12 @@ class Episodes(Config):
     """The episodes that flock_sim runs."""
 
     mode: str = option('lockstep', 'lockstep or realtime', choices=MODES)
-    rate: float = option(0.0, 'realtime: steps per second of wall time; 0: 1/dt', low=0, high=1e4)
+    rate: float = option(
+        0.0,
+        'steps per second of wall time, in lockstep at most; 0: 1/dt in realtime, any in lockstep',
+        low=0,
+        high=1e4,
+    )
     seed: int = option(0, 'seed of the first episode', low=-MAX_SEED, high=MAX_SEED)
     episodes: int = option(0, 'episodes to run; 0: without end', low=0)
 

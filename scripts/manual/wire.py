@@ -107,7 +107,8 @@ def parameters() -> str:
         parts += [f'## {name}', table(('parameter', 'default', 'allowed', 'meaning'), rows)]
     intro = (
         'Set a parameter with `--ros-args -p name:=value`, or with a file from `config/` and '
-        '`--ros-args --params-file FILE`. Parameters are read when a node starts. '
+        '`--ros-args --params-file FILE`. Parameters are read when a node starts; those of the '
+        'world may be set later, and hold from the next episode on. '
         '`recorder`, `player` and `herd` have command-line options: [](commands.md).'
     )
     return page('Parameters', intro, *parts)

@@ -31,6 +31,9 @@ class Graph(Protocol):
     def frame(self, shepherd: int) -> bytes | None:
         """Return the newest state with the ranges of a shepherd, None before the first."""
 
+    def curves(self) -> dict[str, Any] | None:
+        """Return the metrics of the running episode so far, None before the first."""
+
     def take(self, shepherd: int) -> None:
         """Let the console drive a shepherd."""
 
@@ -86,6 +89,9 @@ class ConsoleDesk:
         )
         for key, text in self.latched.items():
             session.tell(key, text)
+        curves = self.graph.curves()
+        if curves is not None:
+            session.tell('curves', text_of('curves', **curves))
         self._show_to(session)
         self._tell_pages()
 

@@ -9,9 +9,12 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from shepherd_ros.config import ConfigError
 from shepherd_ros.console.access import make_access
 from shepherd_ros.console.commands import ConsoleCommand
+from shepherd_ros.console.curves import Curves
 from shepherd_ros.console.desk import Answer, ConsoleDesk
 from shepherd_ros.console.page_server import PageServer
 from shepherd_ros.nodes.console_feed import ConsoleFeed
+from shepherd_ros.nodes.console_mux import DriverRequests
+from shepherd_ros.nodes.console_world import WorldRequests
 from shepherd_ros.ros.node import OK, ShepherdNode
 from shepherd_ros.ros.runtime import run
 
@@ -48,16 +51,20 @@ class ConsoleNode(ShepherdNode):
         )
         self.access = make_access(host, token, hosts)
         self.place = host, port
+        self.past = Curves()
         self.desk = ConsoleDesk(self, {'namespace': self.get_namespace()})
         self.feed = ConsoleFeed(self, self.desk.tell)
+        self.world = WorldRequests(self, self.desk.tell)
+        self.mux = DriverRequests(self, self.feed, self.feed.group, self.desk.tell)
         self.server: PageServer | None = None
         self.starter = self.timer(0.0, self._start)
-        self.timer(REPORT_PERIOD, self.feed.look_for_metrics)
+        self.timer(REPORT_PERIOD, self.look_for_topics)
 
     def _start(self) -> None:
         """Listen: when the node runs, and not when only its help is shown."""
         self.starter.cancel()
         self.server = PageServer(*self.place, self.access, self.desk)
+        self.world.server = self.mux.server = self.server
         for look in (self._look, self._look_at_metrics, self._look_at_reports):
             self.server.call(look)
         self.get_logger().info(f'open {self.server.address}')
@@ -90,26 +97,49 @@ class ConsoleNode(ShepherdNode):
             self.server.loop.call_later(seconds, look)
 
     def _look(self) -> None:
-        """Show the newest state."""
+        """Show the newest state, and tell who drives."""
         self._again(1 / self.frame_rate, self._look)
+        episode = self.feed.episode
+        self.mux.look()
         if self.feed.look():
             self.desk.show()
+        if self.feed.episode is not episode:
+            self.past.clear()
+            self.in_executor(self.look_for_topics)
+            self.world.refresh()
 
     def _look_at_metrics(self) -> None:
         """Tell the newest metrics."""
         self._again(METRICS_PERIOD, self._look_at_metrics)
-        if self.feed.hear_metrics():
-            self.desk.tell('metrics', step=self.feed.step, values=self.feed.values)
+        episode, step = self.feed.episode, self.feed.step
+        if self.feed.hear_metrics() and episode is not None and step >= 0:
+            self.desk.tell('metrics', episode=episode.number, step=step, values=self.feed.values)
+            self.past.add(step, self.feed.values)
 
     def _look_at_reports(self) -> None:
-        """Tell the reports of all nodes, and the names of metrics."""
+        """Tell the reports of all nodes, and what the world is set to."""
         self._again(REPORT_PERIOD, self._look_at_reports)
+        reports = self.feed.hear_reports()
         self.desk.tell('metric_names', metrics=self.feed.metric_names())
-        self.desk.tell('diagnostics', reports=self.feed.hear_reports())
+        self.desk.tell('diagnostics', reports=reports)
+        self.world.look(reports)
+
+    def look_for_topics(self) -> None:
+        """Find metrics, sources of mux and shepherds that are new; in the executor's thread."""
+        self.feed.look_for_metrics()
+        episode = self.feed.episode
+        self.mux.look_for_sources(0 if episode is None else episode.n_shepherds)
 
     def frame(self, shepherd: int) -> bytes | None:
         """Return the newest state with the ranges of a shepherd, None before the first."""
         return self.feed.frame(shepherd)
+
+    def curves(self) -> dict[str, Any] | None:
+        """Return the metrics of the running episode so far, None before the first."""
+        episode = self.feed.episode
+        if episode is None or not self.past.steps:
+            return None
+        return {'episode': episode.number, **self.past.content()}
 
     def watch(self, shepherds: set[int]) -> None:
         """Hear the lidars of these shepherds."""
@@ -125,16 +155,23 @@ class ConsoleNode(ShepherdNode):
 
     def perform(self, command: ConsoleCommand, answer: Answer) -> None:
         """Carry out a command."""
-        raise ConfigError(f'{command.name} cannot be done: expected a world that runs')
+        for part in (self.world, self.mux):
+            if command.name in part.commands:
+                part.perform(command, answer)
+                return
+        raise ConfigError(f'{command.name} cannot be done here')
 
     def take(self, shepherd: int) -> None:
         """Let the console drive a shepherd."""
+        self.mux.take(shepherd)
 
     def move(self, shepherd: int, x: float, y: float, frame: str) -> None:
         """Command a velocity [m/s], in frame world or body."""
+        self.mux.move(shepherd, x, y, frame)
 
     def give(self, shepherd: int) -> None:
         """Let those drive a shepherd that drove it before."""
+        self.mux.give(shepherd)
 
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return how many pages are open."""

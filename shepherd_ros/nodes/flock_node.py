@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.parameter import Parameter
 from shepherd_ros.nodes.flock_commands import FlockCommands
 from shepherd_ros.nodes.flock_pacing import Pacing
-from shepherd_ros.nodes.flock_parameters import check_changes, check_rate, declare_world
+from shepherd_ros.nodes.flock_parameters import check_changes, declare_rate, WorldParameters
 from shepherd_ros.nodes.flock_publishers import WorldOutput
 from shepherd_ros.nodes.flock_requests import FlockRequests
 from shepherd_ros.ros.node import OK, ShepherdNode, WARN
@@ -41,7 +42,8 @@ class FlockSim(ShepherdNode):
         """Create the node and start the first episode."""
         compiled.start_numba()
         super().__init__('flock_sim', **kwargs)
-        self.world = declare_world(self)
+        self.world_parameters = WorldParameters(self)
+        self.world = self.world_parameters.present()
         self.next_seed: int = self.option(
             'seed', 0, 'seed of the next episode once it is set; each after it has 1 more',
             read_only=False, low=-MAX_SEED, high=MAX_SEED,
@@ -49,11 +51,7 @@ class FlockSim(ShepherdNode):
         self.option('step_size', 1, 'steps that ~/step makes', read_only=False, low=1)
         self.episodes: int = self.option('episodes', 0, 'episodes to run; 0: without end', low=0)
         self.mode: str = self.option('mode', 'lockstep', 'how the world advances', choices=MODES)
-        self.rate: float = self.option(
-            'rate', 0.0, 'steps per second of wall time in realtime; 0: 1/dt',
-            read_only=False, low=0.0, high=10_000.0,
-        )  # fmt: skip
-        check_rate(self.rate)
+        self.rate = declare_rate(self)
         self.resend: float = self.option(
             'resend_period', 0.25, 'lockstep: show an unanswered state again after [s]', low=0.01
         )
@@ -71,10 +69,11 @@ class FlockSim(ShepherdNode):
         self.requests = FlockRequests(
             self, self.pacing, self.begin_episode, self.move_goal, self.resume
         )
+        self.ticker = self.timer(self.period, self.on_tick)
         self.begin_episode()
-        self.ticker = self.timer(self.period, self.on_tick) if self.mode == 'realtime' else None
+        self.keep_pace()
         self.timer(WATCH_PERIOD, self.watch)
-        self.add_on_set_parameters_callback(check_changes)
+        self.add_on_set_parameters_callback(partial(check_changes, self.world_parameters))
         self.add_post_set_parameters_callback(self.take_parameters)
 
     @property
@@ -91,6 +90,10 @@ class FlockSim(ShepherdNode):
 
     def begin_episode(self) -> Episode:
         """Start the next episode and return it."""
+        self.world = self.world_parameters.present()
+        if self.dt_ns != (dt_ns := round(self.world.dt * 1e9)):
+            self.dt_ns = dt_ns
+            self.keep_pace()
         seed = self.next_seed
         self.next_seed, self.number = seed + 1, self.number + 1
         self.now_ns += self.dt_ns
@@ -149,9 +152,23 @@ class FlockSim(ShepherdNode):
             self.advance(self.flock_commands.commands.velocity)
 
     def on_tick(self) -> None:
-        """In realtime: it is time for a step."""
-        if not self.finished and self.pacing.may_move():
+        """Make a step in realtime; in lockstep it may be made once every shepherd has answered."""
+        self.pacing.held = False
+        if self.mode == 'lockstep':
+            self.resume()
+        elif not self.finished and self.pacing.may_move():
             self.advance(self.flock_commands.commands.held(self.flock_commands.watchdog_steps))
+
+    def keep_pace(self) -> None:
+        """Make steps at the rate that is asked for, in lockstep at most."""
+        paced = self.mode == 'realtime' or self.rate > 0
+        self.pacing.limited = self.pacing.held = paced and self.mode == 'lockstep'
+        self.ticker.timer_period_ns = round(self.period * 1e9)
+        if not paced:
+            self.ticker.cancel()
+            self.resume()
+        elif self.ticker.is_canceled():
+            self.ticker.reset()
 
     def resume(self) -> None:
         """Go on after a pause was lifted or steps were asked for."""
@@ -206,14 +223,15 @@ class FlockSim(ShepherdNode):
     # ---- parameters and diagnostics ----
 
     def take_parameters(self, parameters: list[Parameter]) -> None:
-        """Go on at a new rate, or with a new seed from the next episode on."""
+        """Go on at a new rate; what is new of the world holds from the next episode on."""
         for parameter in parameters:
             if parameter.name == 'seed':
                 self.next_seed = parameter.value
             elif parameter.name == 'rate':
                 self.rate = parameter.value
-                if self.ticker is not None:
-                    self.ticker.timer_period_ns = round(self.period * 1e9)
+                self.keep_pace()
+            elif parameter.name == 'preset':
+                self.world_parameters.take(parameter.value)
 
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return the diagnostics of the episode and of the commands."""

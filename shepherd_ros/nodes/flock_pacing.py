@@ -17,6 +17,7 @@ class Pacing:
         """Wait for readers from now on, in [s] of wall time."""
         self.paused = False
         self.steps_left = 0  # steps to make although paused
+        self.limited = self.held = False  # whether each step waits for a timer, and this one does
         self.settled = False
         self.readers, self.reader_came = 0, now
         self.made, self.looked = 0, now  # steps since the rate was asked for, and when that was
@@ -33,8 +34,9 @@ class Pacing:
 
     def may_move(self) -> bool:
         """Return whether a step may be made now, and count it if only some may."""
-        if not self.settled or self.resting:
+        if not self.settled or self.resting or self.held:
             return False
+        self.held = self.limited
         self.steps_left = max(self.steps_left - 1, 0)
         self.made += 1
         return True

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 import difflib
 from typing import Any, TypeVar
@@ -82,16 +82,35 @@ def declare(
     return value
 
 
-def declare_config(node: ParameterNode, config: _C, prefix: str = '') -> _C:
+def declare_config(
+    node: ParameterNode, config: _C, prefix: str = '', read_only: bool = True
+) -> _C:
     """Declare a parameter for each option of a configuration; return it as the user wants it."""
+    return _mapped(
+        config,
+        lambda name, value, metadata: declare(node, prefix + name, value, metadata, read_only),
+    )
+
+
+def present_config(node: ParameterNode, config: _C, prefix: str, changes: Mapping[str, Any]) -> _C:
+    """Return a configuration with what its parameters are now; changes are others by full name."""
+
+    def present(name: str, value: Any, metadata: Mapping[str, Any]) -> Any:
+        full = prefix + name
+        return changes[full] if full in changes else node.get_parameter(full).value
+
+    return _mapped(config, present)
+
+
+def _mapped(config: _C, value_of: Callable[[str, Any, Mapping[str, Any]], Any]) -> _C:
+    """Return a configuration with value_of(name, value, metadata) for each of its options."""
     values = {f.name: getattr(config, f.name) for f in fields(config)}
     for f in fields(config):
         if 'doc' in f.metadata:
-            values[f.name] = declare(node, prefix + f.name, values[f.name], f.metadata)
+            values[f.name] = value_of(f.name, values[f.name], f.metadata)
     if added := config.added():
         values['others'] = tuple(
-            (name, declare(node, prefix + name, value, metadata))
-            for name, (value, metadata) in added.items()
+            (name, value_of(name, value, metadata)) for name, (value, metadata) in added.items()
         )
     return type(config)(**values)
 

@@ -240,7 +240,7 @@ def describe(graph: Graph, node: str) -> dict[str, tuple[Any, Any]]:
 
 
 @pytest.mark.parametrize('node', NODES)
-def test_every_parameter_is_described_limited_and_read_only_but_for_three_of_the_world(
+def test_every_parameter_is_described_limited_and_read_only_but_for_those_of_the_world(
     shared_graph: Graph, stack: Stack, node: str
 ) -> None:
     executable = NODES[node][0]
@@ -249,7 +249,8 @@ def test_every_parameter_is_described_limited_and_read_only_but_for_three_of_the
     assert options.keys() <= described.keys()
     assert {'executor', 'frame_id'} <= described.keys()
     changeable = {name for name, (descriptor, _) in described.items() if not descriptor.read_only}
-    assert changeable == ({'rate', 'seed', 'step_size'} if executable == 'flock_sim' else set())
+    of_world = options.keys() | {'flock', 'preset', 'rate', 'seed', 'step_size'}
+    assert changeable == (of_world if executable == 'flock_sim' else set())
     for name, (descriptor, value) in described.items():
         assert descriptor.description, name
         assert descriptor.type == value.type
@@ -280,7 +281,11 @@ def test_a_change_that_cannot_be_is_refused_with_a_reason(
     for node, name, value, pattern in (
         ('flock_sim', 'rate', -1.0, 'rate out of range'),
         ('flock_sim', 'rate', 1e9, 'rate out of range'),
-        ('flock_sim', 'n_sheep', 5, 'n_sheep'),
+        ('flock_sim', 'mode', 'realtime', 'mode'),
+        ('flock_sim', 'spawn.flock_distance_min', 99.0, 'expected at most flock_distance_max'),
+        ('flock_sim', 'spawn.fewest_shepherds', 99, 'expected at most n_shepherds'),
+        ('flock_sim', 'flock', 'goats', 'expected one of'),
+        ('flock_sim', 'preset', 'none', 'expected one of'),
         ('flock_sim', 'n_sheep', -5, 'n_sheep'),
         ('lidar', 'n_rays', 64, 'n_rays'),
         ('lidar_b', 'shepherd_ids', [0], 'shepherd_ids'),

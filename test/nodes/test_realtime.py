@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 import time
 from typing import Any
 
@@ -51,6 +52,19 @@ def test_a_rate_of_zero_is_as_fast_as_the_simulated_clock(graph: Graph) -> None:
     assert sim.period == 0.02
     assert_pace(graph, track, 50, 1.0)
     assert {b - a for a, b in zip(track.stamps, track.stamps[1:], strict=False)} == {20_000_000}
+
+
+def test_a_rate_holds_a_world_in_lockstep_back_and_loses_no_step(graph: Graph) -> None:
+    track = graph.track()
+    sim = graph.host('flock_sim', n_sheep=5, n_shepherds=2, rate=20.0)
+    graph.host('idle')
+    assert_pace(graph, track, 20, 1.0)
+    assert graph.set_parameter('flock_sim', 'rate', 0.0) == (True, '')
+    fast = len(track.stamps) + 100
+    graph.until(lambda: len(track.stamps) > fast, 'it goes as fast as it is answered')
+    assert graph.set_parameter('flock_sim', 'rate', 40.0) == (True, '')
+    assert_pace(graph, track, 20, 0.5)
+    assert {b - a for a, b in pairwise(track.stamps)} == {sim.dt_ns}
 
 
 def test_a_rate_given_as_an_integer_works(graph: Graph) -> None:

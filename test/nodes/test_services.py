@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from nodes.process import assert_same_states, Graph, LATCHED, nanoseconds, Track
 import pytest
 from shepherd_ros.controllers import make_controller
+from shepherd_ros.sim.presets import world_preset
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.transition import step
 from shepherd_ros.sim.world import WorldConfig
@@ -85,6 +87,45 @@ def test_a_late_subscriber_is_told_the_running_episode_and_the_goal(
     graph.until(lambda: told and goals, 'episode and goal')
     assert [Episode.from_json(message.data).seed for message in told] == [9]
     assert nanoseconds(goals[0].header.stamp) == sim.episode.start_ns
+
+
+# --- parameters of the next episode --------------------------------------------------------------
+
+
+def test_parameters_of_the_world_hold_from_the_next_episode_on(graph: Graph, sim: Any) -> None:
+    track = graph.track()
+    for name, value in (
+        ('n_sheep', 7), ('n_shepherds', 3), ('flock', 'reynolds'), ('goal_radius', 2.5),
+        ('reynolds.fear', 12.5), ('dt', 0.25),
+    ):  # fmt: skip
+        assert graph.set_parameter('flock_sim', name, value) == (True, '')
+    assert (sim.episode.n_sheep, sim.world.n_shepherds, sim.dt_ns) == (10, 2, 500_000_000)
+    graph.reset(5)
+    world = world_preset('default', 'reynolds')
+    flock = replace(world.flock, fear=12.5)
+    world = replace(world, n_sheep=7, n_shepherds=3, goal_radius=2.5, dt=0.25, flock=flock)
+    assert (sim.episode.world, sim.episode.n_shepherds) == (world.to_dict(), 3)
+    first = sim.episode.start_ns
+    graph.until(lambda: track.last > first + 3 * 250_000_000, 'the new world moves')
+    stamps = [ns for ns in track.stamps if ns >= first]
+    assert {b - a for a, b in pairwise(stamps)} == {250_000_000}
+    assert torch.equal(track.sheep(first), spawn(world, torch.tensor(5)).sheep)
+
+
+def test_another_preset_changes_what_has_the_default_of_the_one_before(
+    graph: Graph, sim: Any
+) -> None:
+    graph.set_parameter('flock_sim', 'strombom.cohesion', 2.0)
+    assert graph.set_parameter('flock_sim', 'preset', 'fine_dt') == (True, '')
+    assert sim.get_parameter('dt').value == 0.1
+    graph.reset()
+    fine = world_preset('fine_dt')
+    assert sim.world.dt == 0.1
+    assert sim.world.flock == replace(fine.flock, cohesion=2.0)
+    graph.set_parameter('flock_sim', 'preset', 'default')
+    graph.reset()
+    default = world_preset('default')
+    assert (sim.world.dt, sim.world.flock) == (0.5, replace(default.flock, cohesion=2.0))
 
 
 # --- pause and step -----------------------------------------------------------------------------

@@ -1,0 +1,163 @@
+"""What pages of the console ask of mux: who drives each shepherd, and commands by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+import re
+from typing import Any
+
+from shepherd_ros.config import ConfigError, unknown_name
+from shepherd_ros.console.commands import ALL, ConsoleCommand
+from shepherd_ros.console.desk import Answer
+from shepherd_ros.console.frames import NO_DRIVER
+from shepherd_ros.console.page_server import PageServer
+from shepherd_ros.nodes.command_mux import AUTO
+from shepherd_ros.nodes.console_calls import ServiceCalls
+from shepherd_ros.nodes.console_feed import ConsoleFeed
+from shepherd_ros.ros.intra_process import Output
+from shepherd_ros.ros.node import ShepherdNode
+from shepherd_ros.ros.polling import PolledGroup, PolledTopic
+from shepherd_ros.wire.decode import CdrError, decode_string
+from shepherd_ros.wire.drivers import Drivers
+from shepherd_ros.wire.encode import encode_command, encode_text
+from shepherd_ros.wire.topics import DRIVERS, SELECT, source_topic
+from std_srvs.srv import SetBool
+
+OWN_SOURCE = 'console'  # of mux, by which pages drive
+LOCK = 'mux/lock'
+
+
+class DriverRequests:
+    """Selects sources of mux and publishes what pages drive by hand, in the server's loop."""
+
+    def __init__(
+        self, node: ShepherdNode, feed: ConsoleFeed, group: PolledGroup, tell: Callable[..., None]
+    ) -> None:
+        """Create client, publisher and subscription."""
+        self.node, self.feed, self.tell = node, feed, tell
+        self.calls = ServiceCalls(node, {LOCK: SetBool})
+        self.select_output = node.advertise(SELECT)
+        self.input = PolledTopic(node, group, DRIVERS)
+        self.outputs: dict[int, Output] = {}  # by shepherd
+        self.server: PageServer | None = None  # once it runs
+        self.sources: list[str] = []
+        self.active: list[str] = []
+        self.drivers: Drivers | None = None
+        self.before: dict[int, str] = {}  # what was selected for a shepherd that is driven by hand
+        self.headings: dict[int, tuple[float, float]] = {}  # where it looked when it was taken
+        self.commands: dict[str, Callable[..., None]] = {
+            'driver': self._driver,
+            'lock': self._lock,
+        }
+
+    def perform(self, command: ConsoleCommand, answer: Answer) -> None:
+        """Carry out a command; raises ConfigError for values that cannot be."""
+        self.commands[command.name](answer, **command.values)
+
+    # ---- what mux says ----
+
+    def look_for_sources(self, n_shepherds: int) -> None:
+        """Find the sources of mux, and publish for each shepherd; in the executor's thread."""
+        space = self.node.get_namespace().rstrip('/')
+        pattern = re.compile(re.escape(f'{space}/{SELECT}/') + r'(\w+)')
+        names = [pattern.fullmatch(name) for name, _ in self.node.get_service_names_and_types()]
+        self.sources = sorted({match[1] for match in names if match} - {AUTO})
+        self.active = [
+            name for name in self.sources if self.node.count_publishers(_topic(name, 0))
+        ]
+        for h in range(len(self.outputs), n_shepherds):
+            self.outputs[h] = self.node.advertise(source_topic(OWN_SOURCE), h)
+
+    def look(self) -> None:
+        """Take what mux has said of who drives, and tell it."""
+        for raw in self.input.take()[-1:]:
+            with suppress(CdrError, ConfigError):
+                self.drivers = Drivers.from_json(decode_string(raw))
+        self.say()
+
+    def say(self) -> None:
+        """Tell pages who drives."""
+        said = self.drivers if self.sources else None
+        self.tell(
+            'drivers', present=said is not None, sources=self.sources, active=self.active,
+            drivers=[] if said is None else list(said.drivers),
+            selected=[] if said is None else list(said.selected),
+            locked=[] if said is None else list(said.locked),
+        )  # fmt: skip
+        places = {name: float(k) for k, name in enumerate(self.sources)}
+        drivers = () if said is None else said.drivers
+        self.feed.set_drivers([places.get(name or '', NO_DRIVER) for name in drivers])
+
+    # ---- commands ----
+
+    def _known(self, shepherd: int) -> Drivers:
+        """Return who drives; ConfigError without a mux or for a shepherd of no episode."""
+        if self.drivers is None or not self.sources:
+            raise ConfigError(
+                'nobody tells who drives: expected a mux that runs; start it with '
+                '`ros2 run shepherd_ros mux`, and its sources'
+            )
+        team = len(self.drivers.drivers)
+        if not shepherd < team:
+            raise ConfigError(f'shepherd is {shepherd}: expected 0 to {team - 1}')
+        return self.drivers
+
+    def _driver(self, answer: Answer, shepherd: int, source: str) -> None:
+        self._known(shepherd)
+        if source not in (AUTO, *self.sources):
+            raise unknown_name('source', source, [AUTO, *self.sources])
+        self._select(source, shepherd)
+        self.before = {} if shepherd == ALL else self.before
+        self.before.pop(shepherd, None)
+        who = 'all shepherds' if shepherd == ALL else f'shepherd {shepherd}'
+        answer(True, f'{source} is selected for {who}')
+
+    def _select(self, source: str, shepherd: int) -> None:
+        text = source if shepherd == ALL else f'{shepherd} {source}'
+        self.select_output.publish(encode_text(text))
+
+    def _lock(self, answer: Answer, locked: bool) -> None:
+        def answered(response: Any, why: str) -> None:
+            answer(response is not None and response.success, why or response.message)
+
+        assert self.server is not None
+        self.calls.call(self.server, LOCK, SetBool.Request(data=locked), answered)
+
+    # ---- by hand ----
+
+    def take(self, shepherd: int) -> None:
+        """Let the console drive a shepherd: by its priority, or in place of what is selected."""
+        selected = self._known(shepherd).selected[shepherd]
+        if shepherd not in self.outputs:
+            raise ConfigError(f'shepherd {shepherd} is new: expected one that is known; try again')
+        if selected not in (AUTO, OWN_SOURCE):
+            self.before[shepherd] = selected
+            self._select(OWN_SOURCE, shepherd)
+
+    def move(self, shepherd: int, x: float, y: float, frame: str) -> None:
+        """Command a velocity [m/s]; in frame body x is where it looked when it began to move."""
+        if not (x or y):
+            self.headings.pop(shepherd, None)
+        elif frame == 'body':
+            cos, sin = self.headings.setdefault(shepherd, self._heading(shepherd))
+            x, y = cos * x - sin * y, sin * x + cos * y
+        ns = max(self.feed.stamp, 0)
+        self.outputs[shepherd].publish(encode_command(ns, self.node.frame_id, x, y))
+
+    def _heading(self, shepherd: int) -> tuple[float, float]:
+        poses = self.feed.decoded()
+        if poses is None or not shepherd < len(poses[1].heading):
+            return 1.0, 0.0
+        x, y = poses[1].heading[shepherd].tolist()
+        return x, y
+
+    def give(self, shepherd: int) -> None:
+        """Let those drive a shepherd that were selected before."""
+        before = self.before.pop(shepherd, None)
+        if before is not None:
+            self._select(before, shepherd)
+
+
+def _topic(source: str, shepherd: int) -> str:
+    return source_topic(source).format(h=shepherd)
