@@ -26,7 +26,13 @@ def nodes(context: LaunchContext) -> list[Action]:
     """Return the nodes that the arguments ask for."""
     given = {name: LaunchConfiguration(name).perform(context) for name in LAUNCH_ARGUMENTS}
     values = launch_values(given)
-    stack = stack_in(values.setting, values.controller, **values.flock_sim)
+    stack = stack_in(
+        values.setting,
+        values.controller,
+        mux=values.mux,
+        standby=values.standby,
+        **values.flock_sim,
+    )
     if values.record:
         stack.insert(0, Process('recorder', 'recorder'))
     words = {'recorder': ['--output', values.record]}
@@ -38,6 +44,7 @@ def nodes(context: LaunchContext) -> list[Action]:
             name=process.name,
             namespace=values.namespace,
             parameters=[process.parameters, *files],
+            remappings=list(process.remaps.items()),
             arguments=words.get(process.name),
             output='screen',
             on_exit=on_exit,

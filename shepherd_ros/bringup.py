@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from shepherd_ros.config import ConfigError
 from shepherd_ros.experiments.setting import changes_of, env_config, Setting, settled
+from shepherd_ros.wire.topics import COMMANDS, source_topic
+
+STANDBY_PRIORITY = 9  # of the first source of mux that stands by; that of the default is higher
 
 
 @dataclass(frozen=True)
@@ -17,12 +20,15 @@ class Process:
     executable: str
     name: str  # unique in the stack; also the name of its node
     parameters: dict[str, Any] = field(default_factory=dict)
+    remaps: dict[str, str] = field(default_factory=dict)
 
     def arguments(self) -> list[str]:
         """Return the words after the executable on a command line."""
         words = ['--ros-args', '-r', f'__node:={self.name}']
         for key, value in self.parameters.items():
             words += ['-p', f'{key}:={word_of(value)}']
+        for name, other in self.remaps.items():
+            words += ['-r', f'{name}:={other}']
         return words
 
 
@@ -43,7 +49,7 @@ def herding_stack(
     changes are options of the environment by path; ConfigError for those that no node has.
     """
     model = flock_sim.get('flock', 'strombom')
-    world, lidar, own = {}, {}, controller_process(controller, flock_sim)
+    world, lidar = {}, {}
     for path, value in (changes or {}).items():
         room, _, name = path.partition('.')
         if room == 'world':
@@ -53,8 +59,6 @@ def herding_stack(
             lidar[name or path] = value
         else:
             raise ConfigError(f'{path} is {value}: expected its default, as no node has it')
-        if path == 'noise_std' and own.executable != 'policy':  # which sees with the lidars
-            own.parameters[path] = value
     return [
         Process('flock_sim', 'flock_sim', {'n_shepherds': n_shepherds, **world, **flock_sim}),
         *(
@@ -62,8 +66,16 @@ def herding_stack(
             for h in range(n_shepherds)
         ),
         Process('metrics', 'metrics'),
-        own,
+        _seeing(controller_process(controller, flock_sim), changes or {}),
     ]
+
+
+def _seeing(controller: Process, changes: Mapping[str, Any]) -> Process:
+    """Return a controller with the noise of its perception; a policy sees with the lidars."""
+    if 'noise_std' not in changes or controller.executable == 'policy':
+        return controller
+    more = {'noise_std': changes['noise_std']}
+    return replace(controller, parameters=controller.parameters | more)
 
 
 def controller_process(word: str, flock_sim: Mapping[str, Any], **own: Any) -> Process:
@@ -88,16 +100,61 @@ def controller_process(word: str, flock_sim: Mapping[str, Any], **own: Any) -> P
     return Process(executable, name, given | own)
 
 
-def stack_in(setting: Setting, controller: str, **flock_sim: Any) -> list[Process]:
-    """Return the stack of a controller in a setting that it can herd in, or raise ConfigError."""
+def with_mux(stack: Sequence[Process], standby: Sequence[Process] = ()) -> list[Process]:
+    """
+    Return a stack with mux between its controller, the last process, and flock_sim.
+
+    Controllers on standby can be selected, and stand in for one that is silent. flock_sim waits
+    for scans, as it may be faster than the lidars where no policy drives.
+    """
+    world, own = stack[0], stack[-1]
+    parameters: dict[str, Any] = {'default': own.name}
+    for k, process in enumerate(standby):
+        if process.name in {own.name, *(before.name for before in standby[:k])}:
+            raise ConfigError(f'standby has {process.name!r}: expected each controller once')
+        room = f'topics.{process.name}'
+        parameters |= {f'{room}.priority': STANDBY_PRIORITY - k, f'{room}.answers': True}
+
+    def source(process: Process) -> Process:
+        team = range(world.parameters['n_shepherds'])
+        topic = source_topic(process.name)
+        return replace(process, remaps={COMMANDS.format(h=h): topic.format(h=h) for h in team})
+
+    return [
+        replace(world, parameters={'wait_for_scans': True} | world.parameters),
+        *stack[1:-1],
+        Process('mux', 'mux', parameters),
+        *map(source, standby),
+        source(own),
+    ]
+
+
+def stack_in(
+    setting: Setting,
+    controller: str,
+    *,
+    mux: bool = False,
+    standby: Sequence[str] = (),
+    **flock_sim: Any,
+) -> list[Process]:
+    """
+    Return the stack of a controller in a setting that it can herd in, or raise ConfigError.
+
+    standby are controllers that mux can switch to.
+    """
     setting = settled(setting)
     changes = changes_of(setting)
     flock_sim = {'flock': setting.flock, 'preset': setting.preset, **flock_sim}
     stack = herding_stack(controller, setting.shepherds, changes, **flock_sim)
-    checkpoint = stack[-1].parameters.get('checkpoint')
-    if checkpoint:
-        _require_fit(checkpoint, setting)
-    return stack
+    others = [_seeing(controller_process(word, flock_sim), changes) for word in standby]
+    if others and not mux:
+        raise ConfigError(f'standby is {" ".join(standby)!r}: expected none without mux')
+    if len(others) > STANDBY_PRIORITY:
+        raise ConfigError(f'standby has {len(others)}: expected at most {STANDBY_PRIORITY}')
+    for process in (stack[-1], *others):
+        if checkpoint := process.parameters.get('checkpoint'):
+            _require_fit(checkpoint, setting)
+    return with_mux(stack, others) if mux else stack
 
 
 def _require_fit(checkpoint: str, setting: Setting) -> None:

@@ -45,6 +45,8 @@ LAUNCH_ARGUMENTS: dict[str, tuple[str, str]] = {
     **{name: (word_of(f.default), f.metadata['doc']) for name, f in _OF_SETTING.items()},
     'set': ('', 'other options of the environment, such as "world.dt=0.2 lidar.range_noise=0.1"'),
     **{f.name: (word_of(f.default), f.metadata['doc']) for f in fields(Episodes)},
+    'mux': ('false', 'one of several sources commands each shepherd: true or false'),
+    'standby': ('', 'with mux: other controllers to switch to, such as "strombom pierson"'),
     'record': ('', 'new folder into which everything is recorded; empty: nothing is'),
     'params_file': ('', 'YAML file with parameters, which win over the arguments'),
     'namespace': ('', 'namespace of all nodes'),
@@ -58,6 +60,8 @@ class LaunchValues:
     """The arguments of the launch file in their types."""
 
     controller: str
+    mux: bool
+    standby: list[str]
     setting: Setting
     flock_sim: dict[str, Any]
     record: str
@@ -83,6 +87,8 @@ def launch_values(given: dict[str, str]) -> LaunchValues:
         )
     return LaunchValues(
         controller=f'{controller}:{checkpoint}' if checkpoint else controller,
+        mux=read('mux', given['mux'], False),
+        standby=given['standby'].split(),
         setting=settled(Setting(**named, set=tuple(given['set'].split()))),
         flock_sim=Episodes(**paced).to_dict(),
         record=given['record'],

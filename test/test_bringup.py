@@ -75,6 +75,54 @@ def test_the_stack_has_a_lidar_for_each_shepherd_and_distinct_names() -> None:
     ]  # fmt: skip
 
 
+def test_mux_stands_between_its_controllers_and_the_world() -> None:
+    setting = Setting(shepherds=2, set=('noise_std=0.1',))
+    plain = stack_in(setting, 'strombom', seed=3)
+    stack = stack_in(setting, 'strombom', mux=True, standby=('policy:general', 'pierson'), seed=3)
+    assert [p.name for p in stack[-4:]] == ['mux', 'policy', 'pierson', 'strombom']
+    mux, learned, pierson, own = stack[-4:]
+    assert mux.parameters == {
+        'default': 'strombom',
+        'topics.policy.priority': 9, 'topics.policy.answers': True,
+        'topics.pierson.priority': 8, 'topics.pierson.answers': True,
+    }  # fmt: skip
+    assert own.parameters == plain[-1].parameters
+    assert learned.parameters == {'checkpoint': 'general'}
+    assert pierson.parameters['noise_std'] == own.parameters['noise_std'] == 0.1
+    assert stack[0].parameters == plain[0].parameters | {'wait_for_scans': True}
+    assert stack[1:-4] == plain[1:-1]
+    for process in (learned, pierson, own):
+        assert process.remaps == {
+            f'shepherd_{h}/cmd_vel': f'shepherd_{h}/cmd_vel/{process.name}' for h in range(2)
+        }
+    assert own.arguments()[-2:] == ['-r', 'shepherd_1/cmd_vel:=shepherd_1/cmd_vel/strombom']
+
+
+@pytest.mark.parametrize(
+    ('standby', 'mux', 'message'),
+    [
+        (('pierson',), False, "standby is 'pierson': expected none without mux"),
+        (('strombom',), True, "standby has 'strombom': expected each controller once"),
+        (('policy', 'policy:general'), True, "standby has 'policy': expected each controller"),
+        (('persson',), True, 'did you mean .pierson'),
+        (('idle',) * 10, True, 'standby has 10: expected at most 9'),
+    ],
+)
+def test_controllers_that_cannot_stand_by_are_named(
+    standby: tuple[str, ...], mux: bool, message: str
+) -> None:
+    with pytest.raises(ConfigError, match=message):
+        stack_in(Setting(), 'strombom', mux=mux, standby=standby)
+
+
+def test_launch_file_and_herd_take_mux_in_with_one_argument() -> None:
+    values = launch_values(DEFAULTS | {'mux': 'true', 'standby': 'pierson drover'})
+    assert (values.mux, values.standby) == (True, ['pierson', 'drover'])
+    herd = from_words(HerdOptions, 'herd', ['--mux', '--standby', 'pierson', 'drover'])
+    assert (herd.mux, herd.standby) == (True, ('pierson', 'drover'))
+    assert not launch_values(DEFAULTS).mux
+
+
 def test_every_parameter_that_the_launch_file_sets_is_one_of_flock_sim() -> None:
     known = yaml.safe_load(share_file('config', 'flock_sim.yaml').read_text())
     values = launch_values(DEFAULTS)
@@ -127,6 +175,7 @@ def test_a_viewer_of_a_stack_in_a_namespace_gets_its_topics() -> None:
         ({'rate': 'fast'}, "rate is 'fast': expected float"),
         ({'rviz': 'yes'}, "rviz is 'yes': expected true or false"),
         ({'rviz': 'true'}, 'expected false, as rviz2 is not installed'),
+        ({'mux': 'yes'}, "mux is 'yes': expected true or false"),
         ({'mode': 'fast'}, "mode is 'fast': expected one of lockstep, realtime"),
         ({'seed': str(2**70)}, 'seed is 1180591620717411303424: expected a value in'),
         ({'preset': 'papr'}, "did you mean 'paper'"),

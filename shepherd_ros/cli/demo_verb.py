@@ -32,6 +32,10 @@ class Demo(OneSetting):
 
     controller: str = 'policy'
     """Controller that commands, or policy:CHECKPOINT; a wrong name shows all of them."""
+    mux: bool = False
+    """Let one of several sources command each shepherd: the controller, keys, a joystick."""
+    standby: tuple[str, ...] = ()
+    """With mux: other controllers to switch to."""
     seed: int = 0
     """Seed of the episode."""
     out: Path = Path('out/demo')
@@ -42,7 +46,15 @@ class Demo(OneSetting):
     def run(self) -> int:
         """Run the demo; return the exit code."""
         setting = self._check()
-        stack = stack_in(setting, self.controller, seed=self.seed, episodes=1, wait_for_scans=True)
+        stack = stack_in(
+            setting,
+            self.controller,
+            mux=self.mux,
+            standby=self.standby,
+            seed=self.seed,
+            episodes=1,
+            wait_for_scans=True,
+        )
         made_folder('--out', self.out)
         isolate(os.environ)
         console = Console()

@@ -1,4 +1,4 @@
-"""Verbs reset, pause, resume, step, goal, status and nodes: ask a world that runs."""
+"""Verbs reset, pause, drive, lock, status and others: ask a world that runs."""
 
 from __future__ import annotations
 
@@ -96,6 +96,50 @@ class Goal(Asking):
 
 
 @dataclass(kw_only=True)
+class OfShepherds(Asking):
+    """What verbs that ask mux have in common."""
+
+    shepherd: int | None = None
+    """Index of a shepherd; all of them if not given."""
+
+
+@dataclass(kw_only=True)
+class Drive(OfShepherds):
+    """Let a source of mux drive from the next step on, such as keys, or a controller."""
+
+    source: tyro.conf.Positional[str]
+    """Its name; auto for the one of highest priority that is not silent."""
+
+    def run(self) -> int:
+        """Ask for it."""
+        with self.client() as world:
+            print(world.drive(self.source, self.shepherd))
+        return 0
+
+
+@dataclass(kw_only=True)
+class LockShepherds(OfShepherds):
+    """Let shepherds stand still, whatever their sources command."""
+
+    def run(self) -> int:
+        """Ask for it."""
+        with self.client() as world:
+            print(world.lock(True, self.shepherd))
+        return 0
+
+
+@dataclass(kw_only=True)
+class Unlock(OfShepherds):
+    """Let shepherds go that were locked."""
+
+    def run(self) -> int:
+        """Ask for it."""
+        with self.client() as world:
+            print(world.lock(False, self.shepherd))
+        return 0
+
+
+@dataclass(kw_only=True)
 class Status(Asking):
     """Show the episode that runs, and what its nodes report."""
 
@@ -123,6 +167,9 @@ VERBS = {
     'resume': Resume,
     'step': MakeSteps,
     'goal': Goal,
+    'drive': Drive,
+    'lock': LockShepherds,
+    'unlock': Unlock,
     'status': Status,
     'nodes': Nodes,
 }

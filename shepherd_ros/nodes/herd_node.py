@@ -24,6 +24,10 @@ class HerdOptions(OneSetting):
 
     controller: str = 'policy'
     """Controller that commands, or policy:CHECKPOINT; a wrong name shows all of them."""
+    mux: bool = False
+    """Let one of several sources command each shepherd: the controller, keys, a joystick."""
+    standby: tuple[str, ...] = ()
+    """With mux: other controllers to switch to."""
     mode: Literal['lockstep', 'realtime'] = 'lockstep'
     """How the world advances."""
     rate: float = 0.0
@@ -42,6 +46,8 @@ def herd(options: HerdOptions) -> list[ShepherdNode]:
     stack = stack_in(
         options.setting,
         options.controller,
+        mux=options.mux,
+        standby=options.standby,
         mode=options.mode,
         rate=options.rate,
         seed=options.seed,

@@ -15,11 +15,12 @@ import rclpy
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
-from shepherd_ros.config import ConfigError
+from shepherd_ros.config import ConfigError, unknown_name
+from shepherd_ros.nodes.command_mux import AUTO
 from shepherd_ros.ros.node import message_type, quality
 from shepherd_ros.ros.runtime import init_rclpy
 from shepherd_ros.wire.episode import Episode
-from shepherd_ros.wire.topics import EPISODE, row_of
+from shepherd_ros.wire.topics import EPISODE, row_of, SHEPHERD
 from std_srvs.srv import SetBool, Trigger
 
 _WORLD = 'flock_sim'
@@ -45,6 +46,35 @@ class WorldClient(Node):
         """Make n steps, then pause."""
         self._set('step_size', n)
         return self._call('step', Trigger, Trigger.Request()).message
+
+    def drive(self, source: str, shepherd: int | None) -> str:
+        """Select a source of mux for one shepherd or all; return what it answers."""
+        room = 'mux/select' if shepherd is None else f'{SHEPHERD.format(h=shepherd)}/mux'
+        return self._ask_mux(f'{room}/{source}', Trigger, Trigger.Request())
+
+    def lock(self, locked: bool, shepherd: int | None) -> str:
+        """Lock one shepherd or all, or let them go; return what mux answers."""
+        room = 'mux' if shepherd is None else f'{SHEPHERD.format(h=shepherd)}/mux'
+        return self._ask_mux(f'{room}/lock', SetBool, SetBool.Request(data=locked))
+
+    def _ask_mux(self, name: str, kind: Any, request: Any) -> str:
+        """Return what a service of mux answers; ConfigError names those that there are."""
+        response = self._ask(name, kind, request)
+        if response is None:
+            room, _, asked = name.rpartition('/')
+            place = f'{self.get_namespace().rstrip("/")}/{room}/'
+            offered = [n for n, _ in self.get_service_names_and_types() if self.count_services(n)]
+            known = sorted(n.removeprefix(place) for n in offered if n.startswith(place))
+            if AUTO in known:
+                raise unknown_name(f'source in {room}', asked, known)
+            raise ConfigError(
+                f'no {place}{asked} was found within {DISCOVERY:g} s: expected a mux that runs; '
+                'start one, such as with mux:=true of simulate.launch.py, and check the shepherd, '
+                '--namespace and ROS_DOMAIN_ID'
+            )
+        if not response.success:
+            raise ConfigError(response.message)
+        return str(response.message)
 
     def pause(self, paused: bool) -> str:
         """Pause, or go on."""
@@ -115,9 +145,16 @@ class WorldClient(Node):
 
     def _call(self, name: str, kind: Any, request: Any) -> Any:
         """Return what a service of the world answers."""
-        client = self.create_client(kind, f'{_WORLD}/{name}')
-        if not client.wait_for_service(timeout_sec=DISCOVERY):
+        response = self._ask(f'{_WORLD}/{name}', kind, request)
+        if response is None:
             raise self._nobody()
+        return response
+
+    def _ask(self, name: str, kind: Any, request: Any) -> Any:
+        """Return what a service answers, None where there is none."""
+        client = self.create_client(kind, name)
+        if not client.wait_for_service(timeout_sec=DISCOVERY):
+            return None
         future = client.call_async(request)
         rclpy.spin_until_future_complete(self, future, timeout_sec=DISCOVERY)
         if not future.done():
