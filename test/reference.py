@@ -399,7 +399,11 @@ def strombom_controller(
     """Return commands and targets (M, 2), section 4.3."""
     m = len(world.shepherds)
     gx, gy = mean_point(world.sheep)
-    arc = max(length(x - gx, y - gy) for x, y in world.sheep) + (config.arc_margin or 3 * r)
+    from_center = [length(x - gx, y - gy) for x, y in world.sheep]
+    root = math.sqrt(sum(d * d for d in from_center) / len(from_center))
+    arc = root if config.arc == 'rms' else max(from_center)
+    arc += config.arc_margin or 3 * r
+    stop = config.stop_distance or config.stop_range * r
     target = strombom_targets(world, config, r)
     noise = world.draw(direction, Stream.CONTROL, m)
     command = np.zeros((m, 2))
@@ -415,7 +419,7 @@ def strombom_controller(
             speed = top
         if config.noise > 0:
             ux, uy = unit(ux + config.noise * noise[h, 0], uy + config.noise * noise[h, 1])
-        if min(math.dist(world.shepherds[h], a) for a in world.sheep) < config.stop_range * r:
+        if min(math.dist(world.shepherds[h], a) for a in world.sheep) < stop:
             speed = 0.0
         command[h] = speed * ux, speed * uy
     return command, np.array([target[h] for h in range(m)])
@@ -485,7 +489,7 @@ def pierson_controller(
         vx = gain * (place[0] - world.shepherds[h, 0])
         vy = gain * (place[1] - world.shepherds[h, 1])
         speed = length(vx, vy)
-        cut = top / speed if speed > top else 1.0
+        cut = top / speed if speed > top or config.pace == 'constant' else 1.0
         command[h] = vx * cut, vy * cut
     return command, phi
 

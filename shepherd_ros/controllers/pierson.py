@@ -17,7 +17,7 @@ from shepherd_ros.controllers.pierson_compiled import pierson_act
 from shepherd_ros.sim.compiled import compilable
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.tally import flock_spread
-from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, wrap
+from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, unit, wrap
 import torch
 from torch import Tensor
 
@@ -44,6 +44,12 @@ class PiersonConfig(Config):
     )
     tracking_gain: float = option(
         0.0, 'K_d [1/s] of a shepherd toward its place; 0: 1/dt, at most 2', low=0.0
+    )
+    pace: str = option(
+        'tracking',
+        'speed of a shepherd: tracking, K_d times its distance to its place; constant, the top '
+        'speed, also beside its place',
+        choices=('tracking', 'constant'),
     )
     assignment: str = option(
         'sorted',
@@ -105,10 +111,17 @@ class PiersonController(Controller):
         )
         max_radius = max(config.max_radius or 0.75 * flock.arc_range, config.min_radius)
         gain = config.tracking_gain or min(1 / world.dt, 2.0)
-        pace = max(flock.speed, 1e-9)
+        drift = max(flock.speed, 1e-9)
         if compilable(state.sheep, state.shepherds, heading):
             velocity, heading = pierson_act(
-                state, heading, config, max_radius, gain, pace, world.dt, world.shepherd_speed
+                state,
+                heading,
+                config,
+                max_radius,
+                gain,
+                drift,
+                world.dt,
+                world.shepherd_speed,
             )
             return velocity, {'heading': heading}
         center = state.center
@@ -121,7 +134,7 @@ class PiersonController(Controller):
         heading = wrap(heading + turn_rate * world.dt)
 
         team = state.team_size.to(heading.dtype)
-        share = (speed / pace).clamp(config.weakest_push, config.strongest_push)
+        share = (speed / drift).clamp(config.weakest_push, config.strongest_push)
         opening = opening_for(share, team.clamp(min=2))
         spread = flock_spread(state)[0]
         radius = (config.spread_factor * spread).clamp(config.min_radius, max_radius)
@@ -136,5 +149,9 @@ class PiersonController(Controller):
             place = (index - (team[..., None] - 1) / 2) * spacing
         place = rear[..., None] + place
         target = center[..., None, :] + radius[..., None, None] * from_bearing(place)
-        velocity = clip_norm(gain * (target - state.shepherds), world.shepherd_speed)
+        offset = target - state.shepherds
+        if config.pace == 'constant':
+            velocity = world.shepherd_speed * unit(offset)
+        else:
+            velocity = clip_norm(gain * offset, world.shepherd_speed)
         return velocity * state.shepherd_mask[..., None], {'heading': heading}

@@ -10,7 +10,7 @@ import numpy as np
 from shepherd_ros.sim.compiled import compiled, flat_array
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import EPSILON
-from shepherd_ros.sim.vectors_compiled import bearing_xy, mean, take_places, wrap_angle
+from shepherd_ros.sim.vectors_compiled import bearing_xy, mean, take_places, unit_xy, wrap_angle
 import torch
 from torch import Tensor
 
@@ -53,9 +53,9 @@ def _spread(sheep, mask, x, y, count):
 
 @compiled
 def _pierson(
-    sheep, sheep_mask, shepherds, shepherd_mask, goal, heading, sorted_places, lead, gain,
-    max_turn_rate, weakest, strongest, spread_factor, min_radius, max_radius, tracking, pace, dt,
-    top, velocity, new_heading,
+    sheep, sheep_mask, shepherds, shepherd_mask, goal, heading, sorted_places, constant,
+    lead, gain, max_turn_rate, weakest, strongest, spread_factor, min_radius, max_radius, tracking,
+    pace, dt, top, velocity, new_heading,
 ):  # fmt: skip
     size = shepherds.shape[1]
     around, place = np.empty(size, np.float32), np.empty(size, np.float32)
@@ -96,6 +96,10 @@ def _pierson(
                 at = rear + place[h]
                 to_x = x + radius * np.float32(math.cos(at)) - shepherds[b, h, 0]
                 to_y = y + radius * np.float32(math.sin(at)) - shepherds[b, h, 1]
+                if constant:
+                    to_x, to_y = unit_xy(to_x, to_y)
+                    velocity[b, h, 0], velocity[b, h, 1] = top * to_x, top * to_y
+                    continue
                 to_x, to_y = tracking * to_x, tracking * to_y
                 length = np.float32(math.hypot(to_x, to_y))
                 scale = top / max(length, _EPSILON) if length > top else _ONE
@@ -137,6 +141,7 @@ def pierson_act(
         flat_array(state.goal, 1),
         course,
         config.assignment == 'sorted',
+        config.pace == 'constant',
         *(np.float32(number) for number in numbers),
         velocity,
         new_heading,

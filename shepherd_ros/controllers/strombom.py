@@ -37,7 +37,13 @@ class StrombomConfig(Config):
     )
     standoff: float = option(4.0, 'distance kept by position law elfiqi, R2 [m]', low=0.0)
     arc_margin: float = option(
-        0.0, 'a detour keeps so far from the farthest sheep [m]; 0: 3 r', low=0.0
+        0.0, 'a detour keeps so far outside the radius of the flock [m]; 0: 3 r', low=0.0
+    )
+    arc: str = option(
+        'farthest',
+        'radius of the flock that a detour goes round: farthest sheep, or rms of all distances '
+        'from the center, which perception noise widens less',
+        choices=('farthest', 'rms'),
     )
     arc_tolerance: float = option(
         0.2, 'no detour once the target is within this angle about the flock [rad]', low=0.0
@@ -48,6 +54,9 @@ class StrombomConfig(Config):
     noise: float = option(0.3, 'e [-]: weight of a random direction, each step', low=0.0)
     stop_range: float = option(
         3.0, 'stand still while any sheep is within this many r; 0: never', low=0.0
+    )
+    stop_distance: float = option(
+        0.0, 'stand still while any sheep is within this distance [m]; 0: stop_range r', low=0.0
     )
 
 
@@ -67,16 +76,26 @@ class StrombomController(Controller):
         """Return r in metres."""
         return float(self.config.interaction_range or self.world.flock.repulsion_range)
 
+    @property
+    def stop_distance(self) -> float:
+        """Return the distance to a sheep within which a shepherd stands still [m]."""
+        return self.config.stop_distance or self.config.stop_range * self.interaction_range
+
     def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return commands, (..., H, 2) m/s."""
         if compilable(state.sheep, state.shepherds):
-            r, world = self.interaction_range, self.world
-            return strombom_act(state, self.config, r, world.dt, world.shepherd_speed), memory
+            r, stop, world = self.interaction_range, self.stop_distance, self.world
+            velocity = strombom_act(state, self.config, r, stop, world.dt, world.shepherd_speed)
+            return velocity, memory
         center = state.center
         distance = torch.linalg.vector_norm(state.sheep - center[..., None, :], dim=-1)
         distance = distance.masked_fill(~state.sheep_mask, 0.0)
         target = self._targets(state, center, distance)
-        velocity = self._approach(state, center, distance.amax(dim=-1), target)
+        radius = distance.amax(dim=-1)
+        if self.config.arc == 'rms':
+            size = state.flock_size.to(distance.dtype)
+            radius = ((distance * distance).sum(dim=-1) / size).sqrt()
+        velocity = self._approach(state, center, radius, target)
         return velocity * state.shepherd_mask[..., None], memory
 
     def _targets(self, state: WorldState, center: Tensor, distance: Tensor) -> Tensor:
@@ -118,13 +137,13 @@ class StrombomController(Controller):
         return torch.where(free[..., None], driving, target)
 
     def _approach(
-        self, state: WorldState, center: Tensor, d_far: Tensor, target: Tensor
+        self, state: WorldState, center: Tensor, radius: Tensor, target: Tensor
     ) -> Tensor:
         """Return velocities (..., H, 2) m/s to the targets, round the flock if it is between."""
         config, dt, top = self.config, self.world.dt, self.world.shepherd_speed
         r, shepherds, center = self.interaction_range, state.shepherds, center[..., None, :]
         margin = config.arc_margin or 3 * r
-        radius = (d_far + margin)[..., None]  # (..., 1)
+        radius = (radius + margin)[..., None]  # (..., 1)
         to_target = target - shepherds
         course = unit(to_target)
         speed = (torch.linalg.vector_norm(to_target, dim=-1) / dt).clamp(max=top)
@@ -157,5 +176,5 @@ class StrombomController(Controller):
         apart = torch.linalg.vector_norm(
             shepherds[..., :, None, :] - state.sheep[..., None, :, :], dim=-1
         ).masked_fill(~state.sheep_mask[..., None, :], torch.inf)
-        speed = speed.masked_fill(apart.amin(dim=-1) < config.stop_range * r, 0.0)
+        speed = speed.masked_fill(apart.amin(dim=-1) < self.stop_distance, 0.0)
         return speed[..., None] * course

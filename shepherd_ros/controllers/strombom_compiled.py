@@ -82,14 +82,16 @@ def _detour(x, y, d, radius, stride, turn):
 
 @compiled
 def _distances(sheep, mask, x, y, distance):
-    """Write distances of the present sheep from x, y into distance (N,) m; return the largest."""
-    radius = _ZERO
+    """Write distances of the present sheep from x, y into (N,) m; return largest and rms."""
+    largest, total, count = _ZERO, _ZERO, _ZERO
     for i in range(sheep.shape[0]):
         distance[i] = _ZERO
         if mask[i]:
             distance[i] = length(sheep[i, 0] - x, sheep[i, 1] - y)
-            radius = max(radius, distance[i])
-    return radius
+            largest = max(largest, distance[i])
+            total += distance[i] * distance[i]
+            count += _ONE
+    return largest, np.float32(math.sqrt(total / count))
 
 
 @compiled
@@ -105,8 +107,8 @@ def _nearest(sheep, mask, x, y):
 
 @compiled
 def _strombom(
-    seed, step, sheep, sheep_mask, shepherds, shepherd_mask, goal, elfiqi, r, standoff, margin,
-    tolerance, wing_spacing, noise, stop, dt, top, velocity,
+    seed, step, sheep, sheep_mask, shepherds, shepherd_mask, goal, elfiqi, rms, r, standoff,
+    margin, tolerance, wing_spacing, noise, stop, dt, top, velocity,
 ):  # fmt: skip
     n, team = sheep.shape[1], shepherds.shape[1]
     distance, free = np.empty(n, np.float32), np.empty(team, np.bool_)
@@ -115,7 +117,8 @@ def _strombom(
     for b in range(sheep.shape[0]):
         x, y, count = mean(sheep[b], sheep_mask[b])
         size = np.float32(count)
-        radius, here = _distances(sheep[b], sheep_mask[b], x, y, distance) + margin, 0
+        largest, root = _distances(sheep[b], sheep_mask[b], x, y, distance)
+        radius, here = (root if rms else largest) + margin, 0
         for h in range(team):
             here += shepherd_mask[b, h]
         together, collect = r * np.float32(size ** (2 / 3)), r
@@ -156,8 +159,10 @@ def _strombom(
             velocity[b, h, 0], velocity[b, h, 1] = speed * course_x, speed * course_y
 
 
-def strombom_act(state: WorldState, config: Any, r: float, dt: float, top: float) -> Tensor:
-    """Return the command of controllers.strombom; its range r [m], dt [s], top speed [m/s]."""
+def strombom_act(
+    state: WorldState, config: Any, r: float, stop: float, dt: float, top: float
+) -> Tensor:
+    """Return the command of controllers.strombom; r and stop [m], dt [s], top speed [m/s]."""
     shepherds = flat_array(state.shepherds, 2)
     velocity = np.empty_like(shepherds)
     numbers = (
@@ -167,7 +172,7 @@ def strombom_act(state: WorldState, config: Any, r: float, dt: float, top: float
         config.arc_tolerance,
         config.wing_spacing,
         config.noise,
-        config.stop_range * r,
+        stop,
         dt,
         top,
     )
@@ -180,6 +185,7 @@ def strombom_act(state: WorldState, config: Any, r: float, dt: float, top: float
         flat_array(state.shepherd_mask, 1),
         flat_array(state.goal, 1),
         config.position_law == 'elfiqi',
+        config.arc == 'rms',
         *(np.float32(number) for number in numbers),
         velocity,
     )

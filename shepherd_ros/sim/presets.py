@@ -61,6 +61,23 @@ for preset in (
         0.5,
         _strombom(sheep_range=10.0, metric_attraction=True),
     ),
+    # the whole model of Strömbom, shrunk by three: 50 m = 150/3, r_s = 65/3 m, speeds a third
+    Preset(
+        'third',
+        '0.2 s, r_a 2/3 m, unit push: the whole model of Strömbom shrunk by three',
+        0.2,
+        _strombom(sheep_range=2 / 3, normalize_shepherds=True),
+        {
+            'strombom': {
+                'position_law': 'elfiqi',
+                'standoff': 6.0,
+                'arc': 'rms',
+                'arc_margin': 7.0,
+                'stop_distance': 6.0,
+            },
+            'pierson': {'pace': 'constant', 'weakest_push': 0.4, 'min_radius': 8.0},
+        },
+    ),
     # the best of a search over what the paper leaves open: docs/results/presets.md
     Preset(
         'paper',

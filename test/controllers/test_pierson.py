@@ -185,6 +185,8 @@ def test_commands_for_a_thousand_sheep_are_those_of_the_reference() -> None:
         {'min_radius': 9.0},
         {'max_radius': 5.0},
         {'tracking_gain': 0.2},
+        {'pace': 'constant'},
+        {'pace': 'constant', 'assignment': 'fixed', 'tracking_gain': 0.2},
     ],
     ids=str,
 )

@@ -31,7 +31,9 @@ CONTROLLERS = [
     ('strombom', {}),
     ('strombom', {'position_law': 'elfiqi', 'wing_spacing': 0.4, 'noise': 0.0}),
     ('strombom', {'stop_range': 0.0, 'arc_margin': 8.0, 'interaction_range': 2.0}),
+    ('strombom', {'stop_distance': 6.0, 'arc': 'rms', 'arc_margin': 7.0}),
     ('pierson', {}),
+    ('pierson', {'pace': 'constant'}),
     ('pierson', {'assignment': 'fixed', 'max_radius': 6.0, 'tracking_gain': 0.5}),
 ]
 
