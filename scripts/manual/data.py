@@ -145,7 +145,11 @@ def presets() -> str:
     rows = []
     for name, preset in PRESETS.items():
         parts = {**preset.flock, **{f'{k} (controller)': v for k, v in preset.controllers.items()}}
-        changes = [f'{k}.{f} = {v:.4g}' for k, part in parts.items() for f, v in part.items()]
+        changes = [
+            f'{k}.{f} = {format(v, ".4g") if isinstance(v, float) else v}'
+            for k, part in parts.items()
+            for f, v in part.items()
+        ]
         rows.append([code(name), f'{preset.dt:g}', escaped(preset.doc), ', '.join(changes)])
     models = [
         f'### {name}\n\n{table(FIELDS, fields_of(model.config()))}'
