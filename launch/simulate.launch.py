@@ -44,7 +44,6 @@ def nodes(context: LaunchContext) -> list[Action]:
             name=process.name,
             namespace=values.namespace,
             parameters=[process.parameters, *files],
-            remappings=list(process.remaps.items()),
             arguments=words.get(process.name),
             output='screen',
             on_exit=on_exit,

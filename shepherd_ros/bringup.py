@@ -8,27 +8,23 @@ from typing import Any
 
 from shepherd_ros.config import ConfigError
 from shepherd_ros.experiments.setting import changes_of, env_config, Setting, settled
-from shepherd_ros.wire.topics import COMMANDS, source_topic
 
 STANDBY_PRIORITY = 9  # of the first source of mux that stands by; that of the default is higher
 
 
 @dataclass(frozen=True)
 class Process:
-    """An executable of this package with its parameters and remaps."""
+    """An executable of this package with its parameters."""
 
     executable: str
     name: str  # unique in the stack; also the name of its node
     parameters: dict[str, Any] = field(default_factory=dict)
-    remaps: dict[str, str] = field(default_factory=dict)
 
     def arguments(self) -> list[str]:
         """Return the words after the executable on a command line."""
         words = ['--ros-args', '-r', f'__node:={self.name}']
         for key, value in self.parameters.items():
             words += ['-p', f'{key}:={word_of(value)}']
-        for name, other in self.remaps.items():
-            words += ['-r', f'{name}:={other}']
         return words
 
 
@@ -116,9 +112,7 @@ def with_mux(stack: Sequence[Process], standby: Sequence[Process] = ()) -> list[
         parameters |= {f'{room}.priority': STANDBY_PRIORITY - k, f'{room}.answers': True}
 
     def source(process: Process) -> Process:
-        team = range(world.parameters['n_shepherds'])
-        topic = source_topic(process.name)
-        return replace(process, remaps={COMMANDS.format(h=h): topic.format(h=h) for h in team})
+        return replace(process, parameters=process.parameters | {'source': process.name})
 
     return [
         replace(world, parameters={'wait_for_scans': True} | world.parameters),

@@ -9,6 +9,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from shepherd_ros.controllers import CONTROLLERS
 from shepherd_ros.controllers.controller import Controller, Memory
+from shepherd_ros.nodes.mux_parameters import declare_source
 from shepherd_ros.ros.intra_process import Output
 from shepherd_ros.ros.node import OK, ShepherdNode, WARN
 from shepherd_ros.ros.parameters import declare_config
@@ -21,7 +22,6 @@ from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_command, encode_twist
 from shepherd_ros.wire.episode import Episode
-from shepherd_ros.wire.topics import COMMANDS
 import torch
 
 ALL_SHEPHERDS = -1
@@ -51,6 +51,7 @@ class HeuristicNode(ShepherdNode):
         self.noise_std: float = self.option(
             'noise_std', 0.0, 'noise on all perceived positions [m]', low=0.0
         )
+        self.commands = declare_source(self)
         self.stamped: bool = self.option(
             'stamped',
             True,
@@ -79,7 +80,7 @@ class HeuristicNode(ShepherdNode):
             self.destroy_publisher(self.outputs.pop(h))
         kind = '' if self.stamped else 'geometry_msgs/msg/Twist'
         for h in [h for h in mine if h not in self.outputs]:
-            self.outputs[h] = self.advertise(COMMANDS, h, kind)
+            self.outputs[h] = self.advertise(self.commands, h, kind)
 
     def on_state(self, ns: int, state: WorldState, episode: Episode) -> None:
         """Answer a state; one that comes again gets the same answer."""

@@ -9,7 +9,7 @@ import re
 from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes.command_mux import AUTO, check_priorities, CommandSource, Lock
 from shepherd_ros.ros.node import ShepherdNode
-from shepherd_ros.wire.topics import lock_topic, source_topic
+from shepherd_ros.wire.topics import COMMANDS, lock_topic, source_topic
 
 FRAMES = ('world', 'body')
 HIGHEST = 255  # priority
@@ -37,6 +37,25 @@ class MuxOptions:
     body: frozenset[str]  # sources that command in the frame of the body
 
 
+def declare_source(node: ShepherdNode) -> str:
+    """Declare to which source of mux a controller belongs; return the topic of its commands."""
+    name = node.option(
+        'source', '', 'name as a source of mux, which hears shepherd_{h}/cmd_vel/NAME; empty: '
+        'commands go to flock_sim',
+    )  # fmt: skip
+    return source_topic(_checked_name('source', name)) if name else COMMANDS
+
+
+def _checked_name(room: str, name: str) -> str:
+    """Return the name of a source or a lock; ConfigError if it cannot be one."""
+    if not re.fullmatch('[a-z][a-z0-9_]*', name) or name in _RESERVED:
+        raise ConfigError(
+            f'{room} has {name!r}: expected lower-case letters, digits and _, and none of '
+            f'{", ".join(_RESERVED)}'
+        )
+    return name
+
+
 def _checked_topic(name: str, topic: str) -> str:
     """Return the topic of a source or a lock; ConfigError if it is no name of one."""
     if not re.fullmatch(r'~?/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*', topic.replace('{h}', '0')):
@@ -50,14 +69,7 @@ def _checked_topic(name: str, topic: str) -> str:
 def _names(node: ShepherdNode, room: str, known: Iterable[str]) -> list[str]:
     """Return the names in a room of the parameters, those that the user gave last."""
     given = {key.split('.')[1] for key in node.given or () if re.match(rf'{room}\.[^.]+\.', key)}
-    names = [*dict.fromkeys([*known, *sorted(given)])]
-    for name in names:
-        if not re.fullmatch('[a-z][a-z0-9_]*', name) or name in _RESERVED:
-            raise ConfigError(
-                f'{room} has {name!r}: expected lower-case letters, digits and _, and none of '
-                f'{", ".join(_RESERVED)}'
-            )
-    return names
+    return [_checked_name(room, name) for name in dict.fromkeys([*known, *sorted(given)])]
 
 
 def _declare_source(node: ShepherdNode, name: str, default: str) -> tuple[CommandSource, str, str]:

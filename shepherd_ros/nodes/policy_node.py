@@ -14,6 +14,7 @@ from shepherd_ros.controllers.policy_controller import (
     LearnedConfig,
     require_same_world,
 )
+from shepherd_ros.nodes.mux_parameters import declare_source
 from shepherd_ros.policy import inference
 from shepherd_ros.policy.checkpoint import load_policy
 from shepherd_ros.policy.inference import PolicyMemory
@@ -27,7 +28,6 @@ from shepherd_ros.ros.world_subscriber import LOCKSTEP_SILENCE_TIMEOUT
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_command, encode_twist
 from shepherd_ros.wire.episode import Episode
-from shepherd_ros.wire.topics import COMMANDS
 import torch
 from torch import Tensor
 
@@ -53,6 +53,7 @@ class PolicyNode(ShepherdNode):
                 f'shepherd_ids is {ids}: expected each shepherd once, counted from 0, such as '
                 '[0, 1, 2], or [-1] for all'
             )
+        self.commands = declare_source(self)
         self.stamped: bool = self.option(
             'stamped', True, 'publish TwistStamped; false: Twist, which has no stamp'
         )
@@ -113,7 +114,7 @@ class PolicyNode(ShepherdNode):
             self.destroy_publisher(self.outputs.pop(h))
         kind = '' if self.stamped else 'geometry_msgs/msg/Twist'
         for h in [h for h in self.present if h not in self.outputs]:
-            self.outputs[h] = self.advertise(COMMANDS, h, kind)
+            self.outputs[h] = self.advertise(self.commands, h, kind)
         self.scans.listen_to(self.present)
 
     def on_scans(self, ns: int, ranges: dict[int, np.ndarray]) -> None:
