@@ -113,4 +113,4 @@ docs: setup  # the manual; out/docs/index.html
 	$(BIN)/python -m sphinx -q -W --keep-going docs out/docs
 
 clean:
-	rm -rf $(VENV) out build install log
+	rm -rf $(VENV) out build dist install log

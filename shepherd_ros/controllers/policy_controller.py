@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.controllers.controller import Controller, CONTROLLERS, Memory
 from shepherd_ros.policy import inference
-from shepherd_ros.policy.checkpoint import load_policy
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.lidar import scan
 from shepherd_ros.sim.rng import normal, Stream
@@ -43,7 +42,13 @@ class LearnedController(Controller):
     ) -> None:
         """Load the checkpoint, or take the policy that is given; check that it fits the world."""
         super().__init__(config, world)
-        self.policy = load_policy(config.checkpoint) if policy is None else policy
+        if policy is None:
+            from shepherd_ros.policy.checkpoint import (
+                load_policy,  # heuristics need no safetensors
+            )
+
+            policy = load_policy(config.checkpoint)
+        self.policy = policy
         self.dtype = dtype
         require_same_world(self.policy, world)
 

@@ -122,7 +122,7 @@ class FlockSim(ShepherdNode):
         self.publish_state()
         return self.episode
 
-    def advance(self, command: Tensor) -> None:
+    def advance(self, commands: list[tuple[float, float]]) -> None:
         """Make one step with commands (H, 2) m/s, or begin the next episode after the last."""
         if int(self.state.step) >= self.world.episode_steps:
             if self.number + 1 == self.episodes:
@@ -130,7 +130,8 @@ class FlockSim(ShepherdNode):
             else:
                 self.begin_episode()
             return
-        self.moment = advance(self.moment, command)
+        velocity = torch.tensor(commands, dtype=torch.float32).reshape(-1, 2)
+        self.moment = advance(self.moment, velocity)
         self.now_ns += self.dt_ns
         if self.pending_goal is not None:
             self.set_goal(self.pending_goal)
@@ -149,7 +150,7 @@ class FlockSim(ShepherdNode):
     def on_answers(self) -> None:
         """In lockstep: every shepherd has answered."""
         if self.mode == 'lockstep' and not self.finished and self.pacing.may_move():
-            self.advance(self.flock_commands.commands.velocity)
+            self.advance(self.flock_commands.commands.velocities)
 
     def on_tick(self) -> None:
         """Make a step in realtime; in lockstep it may be made once every shepherd has answered."""

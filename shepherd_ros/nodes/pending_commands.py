@@ -1,11 +1,8 @@
-"""The shepherds' commands as they come in: who answered which state, who is late (no rclpy)."""
+"""Commands of the shepherds as they arrive: who answered which state, who is late (no rclpy)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-
-import torch
-from torch import Tensor
 
 
 @dataclass
@@ -13,7 +10,7 @@ class CommandBuffer:
     """Last command of each shepherd, and whether it answers the present state."""
 
     n_shepherds: int
-    velocities: list[tuple[float, float]] = field(init=False)  # m/s, NaN kept as it came
+    velocities: list[tuple[float, float]] = field(init=False)  # m/s, zero before the first
     answered: list[bool] = field(init=False)
     age: list[int] = field(init=False)  # steps since the last command; huge if there was none
 
@@ -37,11 +34,6 @@ class CommandBuffer:
         self.age[shepherd] = 0
 
     @property
-    def velocity(self) -> Tensor:
-        """Return the last commands as they came, (H, 2) m/s; zero before the first."""
-        return torch.tensor(self.velocities, dtype=torch.float32).reshape(-1, 2)
-
-    @property
     def complete(self) -> bool:
         """Return whether every shepherd has answered."""
         return all(self.answered)
@@ -50,7 +42,9 @@ class CommandBuffer:
         """Return the shepherds that have not answered."""
         return [h for h, answered in enumerate(self.answered) if not answered]
 
-    def held(self, watchdog_steps: int) -> Tensor:
-        """Return the last commands (H, 2) m/s, zero for those older than the watchdog allows."""
-        fresh = torch.tensor([age <= watchdog_steps for age in self.age])
-        return torch.where(fresh[:, None], self.velocity, 0.0)
+    def held(self, watchdog_steps: int) -> list[tuple[float, float]]:
+        """Return the last commands (H) m/s, zero for those older than the watchdog allows."""
+        return [
+            velocity if age <= watchdog_steps else (0.0, 0.0)
+            for velocity, age in zip(self.velocities, self.age, strict=True)
+        ]

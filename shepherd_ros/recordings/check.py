@@ -117,13 +117,17 @@ def _check_namespace(
             if part in require:
                 result.add(Finding('absent', f'no {part} were recorded', topic=namespace))
     before: RecordedGroup | None = None
+    begin = 0
     expected = _Expected(namespace, scanned, commanded)
     for group in groups:
-        if before is not None:
-            _check_group(before, group, expected, result)
+        if before is None:
+            begin = _first_whole(group, expected)
+        else:
+            _check_group(before, group, expected, result, begin)
+            begin = 0
         before = group
     if before is not None:
-        _check_group(before, None, expected, result)
+        _check_group(before, None, expected, result, begin)
     for topic, count in groups.stray.items():
         result.add(Finding('stray', f'{count} messages belong to no episode', topic=topic))
 
@@ -151,10 +155,24 @@ class _Expected:
                 yield f'{self.namespace}/{COMMANDS.format(h=h)}'
 
 
+def _first_whole(group: RecordedGroup, expected: _Expected) -> int:
+    """Return the first step to check: of a recorder that joined late, that of a whole state."""
+    steps = () if 0 in group.states else range(group.last_step + 1)
+    for step in steps:
+        state = group.states.get(step, RecordedState())
+        if not any(expected.missing(state, group.info.n_shepherds, step < group.last_step)):
+            return step
+    return 0
+
+
 def _check_group(
-    group: RecordedGroup, following: RecordedGroup | None, expected: _Expected, result: CheckResult
+    group: RecordedGroup,
+    following: RecordedGroup | None,
+    expected: _Expected,
+    result: CheckResult,
+    begin: int,
 ) -> None:
-    """Check one episode; following is the next one, None after the last."""
+    """Check one episode from a step on; following is the next one, None after the last."""
     info, last = group.info, group.last_step
     result.episodes += 1
     result.steps += sum(1 for s in group.states.values() if s.sheep and s.shepherds)
@@ -166,6 +184,8 @@ def _check_group(
     told = following is None or following.info.start_ns == info.start_ns + (last + 1) * info.dt_ns
     if not whole:
         result.unfinished.append(info.number)
+    if begin:
+        result.late[info.number] = begin
     for topic, stamp_ns in group.disorder:
         step = (stamp_ns - info.start_ns) // info.dt_ns
         what = 'it came after a later stamp'
@@ -179,7 +199,7 @@ def _check_group(
         state = group.states.get(step, RecordedState())
         stamp_ns = info.start_ns + step * info.dt_ns
         place = info.number, step, stamp_ns
-        if step < last or whole or not told:
+        if step >= begin and (step < last or whole or not told):
             for topic in expected.missing(state, info.n_shepherds, step < last):
                 result.add(Finding('gap', 'missing', *place, topic))
         result.add(*_counts(group, state, place))

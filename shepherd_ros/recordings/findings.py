@@ -43,6 +43,7 @@ class CheckResult:
 
     findings: list[Finding] = field(default_factory=list)  # the first MOST
     absent: list[str] = field(default_factory=list)  # parts that were not recorded at all
+    late: dict[int, int] = field(default_factory=dict)  # first whole step of episodes joined late
     unfinished: list[int] = field(default_factory=list)  # numbers of episodes that end early
     notes: list[str] = field(default_factory=list)
     episodes: int = 0
@@ -62,6 +63,8 @@ class CheckResult:
         lines = [f'{self.episodes} episodes, {self.steps} states']
         if self.absent:
             lines.append(f'not recorded: {", ".join(self.absent)}')
+        for number, step in self.late.items():
+            lines.append(f'recorded from step {step} on: episode {number}')
         if self.unfinished:
             lines.append(f'unfinished episodes: {", ".join(map(str, self.unfinished))}')
         lines += self.notes

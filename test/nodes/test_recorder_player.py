@@ -270,6 +270,28 @@ def test_one_bag_per_episode(room: Graph, tmp_path: Path) -> None:
         assert (result.episodes, result.steps) == (1, STEPS + 1)
 
 
+def test_a_recorder_that_joins_a_run_at_full_speed_says_what_its_bag_holds(
+    room: Graph, tmp_path: Path
+) -> None:
+    """Nothing before its first whole state is a loss; from there on its verdict is the bag's."""
+    room.start('flock_sim', wait_for_scans=True, **(WORLD | {'episode_steps': 100_000}))
+    room.start('lidar', shepherd_ids=[0, 1])
+    room.start('strombom')
+    track = room.track()
+    room.until(lambda: len(track.stamps) > 20, 'a run')
+    recorder = start_recorder(room, tmp_path / 'bag', '-x', '/diagnostics')
+    until_recorded(room, recorder, *STACK)
+    room.until(lambda: int(counts(room).get('messages', '0')) > 1000, 'a hundred steps')
+    code = recorder.stop()
+    result = check_bag(open_bag(tmp_path / 'bag'), ('scans', 'commands'))
+    assert code == (not result.ok), f'{recorder}\n{result.text()}'
+    assert re.search('sent before the first that was heard: /flock/poses: [0-9]+', recorder.text)
+    (frames,) = (episode.frames for episode in iter_episodes(open_bag(tmp_path / 'bag')))
+    begin = result.late[0]
+    assert 20 <= frames[0].step <= begin < frames[-1].step
+    assert all(f.step >= begin for f in result.findings if f.kind == 'gap')
+
+
 # ---- the recorder ----
 
 

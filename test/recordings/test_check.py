@@ -141,9 +141,25 @@ def test_an_episode_in_the_middle_must_not_end_early(tmp_path: Path) -> None:
     assert {(f.episode, f.step) for f in result.findings} == {(0, STEPS)}
 
 
-def test_a_recording_that_starts_late_has_gaps(tmp_path: Path) -> None:
-    result = check(tmp_path / 'bag', [*MESSAGES[:2], *MESSAGES[14:]])
-    assert {(f.kind, f.episode, f.step) for f in result.findings} == {('gap', 0, 0)}
+@pytest.mark.parametrize(('cut', 'step'), [(14, 1), (15, 1), (16, 2), (24, 2), (27, 2), (28, 3)])
+def test_a_recording_that_starts_late_is_whole_from_its_first_whole_state_on(
+    tmp_path: Path, cut: int, step: int
+) -> None:
+    """A state has 12 messages, the first of them /clock, the last a metric."""
+    result = check(tmp_path / 'bag', [*MESSAGES[:2], *MESSAGES[cut:]])
+    assert (result.ok, result.late, result.unfinished) == (True, {0: step}, [])
+    assert f'recorded from step {step} on: episode 0\n' in result.text()
+    result = check(tmp_path / 'gap', without([*MESSAGES[:2], *MESSAGES[cut:]], TOPICS[0], -6))
+    assert [(f.kind, f.episode) for f in result.findings] == [('gap', 0)]
+
+
+def test_a_recording_without_any_whole_state_has_gaps(tmp_path: Path) -> None:
+    half = [i for i, m in enumerate(MESSAGES) if m.topic == '/episode'][1]
+    rows = [m for m in MESSAGES[14:half] if m.topic != '/flock/poses']
+    flock = [m for m in MESSAGES[half:] if m.topic == '/flock/poses']
+    result = check(tmp_path / 'bag', [*MESSAGES[:2], *rows, *MESSAGES[half : half + 2], *flock])
+    assert not result.ok
+    assert not result.late
 
 
 def test_what_was_never_recorded_is_absent(tmp_path: Path) -> None:
