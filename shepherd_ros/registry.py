@@ -167,9 +167,19 @@ def load_plugins() -> None:
     _loaded.add(PLUGIN_GROUP)
     for point in installed:
         _import(point.value, f'entry point {point.name!r} of group {PLUGIN_GROUP}')
-    for name in os.environ.get(PLUGIN_VARIABLE, '').split(','):
-        if name.strip():
-            _import(name.strip(), PLUGIN_VARIABLE)
+    for name in _named_plugins():
+        _import(name, PLUGIN_VARIABLE)
+
+
+def plugin_names() -> list[str]:
+    """Return the modules and files of plug-ins that are installed or named."""
+    return [*(point.value for point in entry_points(group=PLUGIN_GROUP)), *_named_plugins()]
+
+
+def _named_plugins() -> list[str]:
+    """Return the modules and files that the environment names."""
+    names = os.environ.get(PLUGIN_VARIABLE, '').split(',')
+    return [name.strip() for name in names if name.strip()]
 
 
 def _import(name: str, source: str) -> None:

@@ -1,8 +1,9 @@
-"""Paths of the files that are installed beside the code, such as schemas."""
+"""Paths of what is installed beside the code: schemas, checkpoints, executables."""
 
 from __future__ import annotations
 
 from pathlib import Path
+import shutil
 import sys
 
 PACKAGE = 'shepherd_ros'
@@ -39,3 +40,10 @@ def share_file(*parts: str) -> Path:
             return path
     looked = ', '.join(str(place) for place in places)
     raise FileNotFoundError(f'{Path(*parts)} is in none of {looked}: install the package again')
+
+
+def executable_path(name: str) -> Path | None:
+    """Return the path of an executable: beside this Python, or on the PATH; None if neither."""
+    beside = Path(sys.executable).parent / name
+    found = beside if beside.exists() else shutil.which(name)
+    return Path(found) if found else None

@@ -61,6 +61,7 @@ def all_verbs() -> dict[str, Callable[..., Any]]:
     from shepherd_ros.cli.counterfactual_verb import Counterfactual
     from shepherd_ros.cli.dataset_verbs import DatasetVerbs
     from shepherd_ros.cli.demo_verb import Demo
+    from shepherd_ros.cli.doctor_verb import Doctor
     from shepherd_ros.cli.evaluate_verb import Evaluate
     from shepherd_ros.cli.figures_verb import Figures
     from shepherd_ros.cli.record_verb import Record
@@ -81,6 +82,7 @@ def all_verbs() -> dict[str, Callable[..., Any]]:
         'train': Train,
         'checkpoint': CheckpointVerbs,
         'run': Run,
+        'doctor': Doctor,
         **VERBS,
     }
 

@@ -6,7 +6,6 @@ from collections.abc import Iterator, MutableMapping, Sequence
 from contextlib import contextmanager
 import os
 from pathlib import Path
-import shutil
 import signal
 import subprocess
 import sys
@@ -14,28 +13,18 @@ import time
 
 from shepherd_ros.bringup import Process
 from shepherd_ros.cli.user_error import UserError
-from shepherd_ros.resources import share_file
-
-
-def _found(name: str) -> str | None:
-    beside = Path(sys.executable).parent / name
-    return str(beside) if beside.exists() else shutil.which(name)
-
-
-def is_executable(name: str) -> bool:
-    """Return whether an executable is beside this Python or on the PATH."""
-    return _found(name) is not None
+from shepherd_ros.resources import executable_path, share_file
 
 
 def executable(name: str) -> str:
     """Return the path of one of our executables: beside this Python, or on the PATH."""
-    path = _found(name)
+    path = executable_path(name)
     if path is None:
         raise UserError(
             f'executable {name!r} is neither beside {sys.executable} nor on the PATH: '
             'install the package, or source the workspace'
         )
-    return path
+    return str(path)
 
 
 def isolate(environment: MutableMapping[str, str]) -> None:

@@ -10,8 +10,9 @@ from tempfile import TemporaryDirectory
 from typing import Annotated, TYPE_CHECKING
 
 from shepherd_ros.cli.controllers import Chosen, chosen
-from shepherd_ros.cli.processes import is_executable, isolate, running
+from shepherd_ros.cli.processes import isolate, running
 from shepherd_ros.cli.user_error import UserError
+from shepherd_ros.resources import executable_path
 import tyro
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ class Replay:
         asked = chosen(self.controller, self.params, self.params_file)
         if asked.parameters.get('stamped') is False:
             raise UserError('stamped is False: expected commands with the stamp of their state')
-        if self.without_ros or asked.of_core or not is_executable(self.controller):
+        if self.without_ros or asked.of_core or executable_path(self.controller) is None:
             asked.config()  # refuses what cannot be
         result = Comparison(self.tolerance, self.shepherds)
         if self.without_ros:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+import subprocess
 from typing import Any
 
 import imageio.v2 as imageio
@@ -52,3 +53,14 @@ def write_mp4(path: Path, frames: _Frames, fps: float) -> None:
     with imageio.get_writer(path, fps=fps, codec='libx264', macro_block_size=2) as writer:
         for frame in frames:
             writer.append_data(frame)
+
+
+def ffmpeg_version() -> str:
+    """Return version and path of the ffmpeg that is used, or raise; it is started for that."""
+    from imageio.plugins.ffmpeg import get_exe
+
+    path = get_exe()
+    said = subprocess.run(
+        [path, '-version'], capture_output=True, text=True, check=True, timeout=30
+    )
+    return f'{said.stdout.split()[2]} at {path}'

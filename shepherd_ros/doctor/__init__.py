@@ -1,0 +1,3 @@
+"""Checks of an installation and of the machine that it is on."""
+
+__all__ = ['checks', 'diagnosis']
