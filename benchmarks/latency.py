@@ -28,7 +28,7 @@ def bare(shepherds: int, seconds: float) -> list[float]:
     """Return times of the network's answers to one batch [ms]."""
     policy = load_policy(StrombomFlock.checkpoint)
     frames = torch.rand(shepherds, policy.config.observation.n_frames, 3, 512) * 7
-    x = policy.arranged(frames, policy.first_ray(frames[:, -1]))
+    x = policy.arrange(frames, policy.first_ray(frames[:, -1]))
     times, end = [], time.perf_counter() + seconds
     with torch.no_grad():
         for _ in range(20):

@@ -59,7 +59,7 @@ def forms(rounds: int, size: int) -> list[dict[str, Any]]:
     chosen = torch.randperm(len(batch.value))[:size]
     frames = rollout.store.frames(batch.rows[chosen])
     nets = {'types': Policy(FROM_SCRATCH), 'ring': Policy(RING)}
-    inputs = {name: p.arranged(frames, batch.first[chosen]) for name, p in nets.items()}
+    inputs = {name: p.arrange(frames, batch.first[chosen]) for name, p in nets.items()}
 
     def plain(actor: Actor, x: Tensor) -> Tensor:
         return actor.head(actor.body.plain(x))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from shepherd_ros.config import ConfigError
-from shepherd_ros.experiments.setting import changes_of, env_config, Setting, settled
+from shepherd_ros.experiments.setting import canonical_setting, changes_of, env_config, Setting
 
 STANDBY_PRIORITY = 9  # of the first source of mux that stands by; that of the default is higher
 
@@ -82,10 +82,10 @@ def controller_process(word: str, flock_sim: Mapping[str, Any], **own: Any) -> P
     word names no checkpoint is that for its flock model.
     """
     from shepherd_ros.controllers import CONTROLLERS  # with torch, which takes a second
-    from shepherd_ros.experiments.methods import parted
+    from shepherd_ros.experiments.methods import split_name
     from shepherd_ros.sim.flocking import FLOCK_MODELS
 
-    name, checkpoint = parted(word)
+    name, checkpoint = split_name(word)
     executable = CONTROLLERS[name].executable
     given = {} if executable == name else {'controller': name}
     if name == 'policy':
@@ -136,7 +136,7 @@ def stack_in(
 
     standby are controllers that mux can switch to.
     """
-    setting = settled(setting)
+    setting = canonical_setting(setting)
     changes = changes_of(setting)
     flock_sim = {'flock': setting.flock, 'preset': setting.preset, **flock_sim}
     stack = herding_stack(controller, setting.shepherds, changes, **flock_sim)

@@ -10,7 +10,7 @@ from typing import Any
 
 from shepherd_ros.bringup import word_of
 from shepherd_ros.config import Config, ConfigError, mapping, option, read
-from shepherd_ros.experiments.setting import Setting, settled
+from shepherd_ros.experiments.setting import canonical_setting, Setting
 from shepherd_ros.resources import is_installed
 from shepherd_ros.sim.limits import MAX_SEED
 from shepherd_ros.wire.episode import MODES
@@ -89,7 +89,7 @@ def launch_values(given: dict[str, str]) -> LaunchValues:
         controller=f'{controller}:{checkpoint}' if checkpoint else controller,
         mux=read('mux', given['mux'], False),
         standby=given['standby'].split(),
-        setting=settled(Setting(**named, set=tuple(given['set'].split()))),
+        setting=canonical_setting(Setting(**named, set=tuple(given['set'].split()))),
         flock_sim=Episodes(**paced).to_dict(),
         record=given['record'],
         **_of_all_nodes(given),

@@ -43,7 +43,7 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 torch.set_num_threads(1)
 
 
-def lacking(path: Path) -> list[str]:
+def missing_packages(path: Path) -> list[str]:
     """Return the packages that a file of tests imports and that are not installed."""
     names = set()
     for node in ast.parse(path.read_text(encoding='utf-8')).body:
@@ -54,7 +54,9 @@ def lacking(path: Path) -> list[str]:
     return sorted(name for name in names if find_spec(name) is None)
 
 
-LACKING = {str(path): names for path in HERE.rglob('test_*.py') if (names := lacking(path))}
+LACKING = {
+    str(path): names for path in HERE.rglob('test_*.py') if (names := missing_packages(path))
+}
 collect_ignore = [*LACKING]
 
 

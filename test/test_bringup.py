@@ -11,7 +11,7 @@ from shepherd_ros.bringup import controller_process, herding_stack, stack_in
 from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
 from shepherd_ros.experiments.methods import make_method
-from shepherd_ros.experiments.setting import Setting, settled
+from shepherd_ros.experiments.setting import canonical_setting, Setting
 from shepherd_ros.launch_arguments import (
     LAUNCH_ARGUMENTS,
     launch_values,
@@ -24,7 +24,7 @@ from shepherd_ros.nodes.compose import NODES
 from shepherd_ros.nodes.herd_node import HerdOptions
 from shepherd_ros.policy.checkpoint import shipped_checkpoints
 from shepherd_ros.resources import share_file
-from shepherd_ros.ros.runtime import from_words
+from shepherd_ros.ros.runtime import parse_options
 from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.flocking.flock_model import FlockConfig
 from shepherd_ros.sim.presets import PRESETS
@@ -113,7 +113,7 @@ def test_controllers_that_cannot_stand_by_are_named(
 def test_launch_file_and_herd_take_mux_in_with_one_argument() -> None:
     values = launch_values(DEFAULTS | {'mux': 'true', 'standby': 'pierson drover'})
     assert (values.mux, values.standby) == (True, ['pierson', 'drover'])
-    herd = from_words(HerdOptions, 'herd', ['--mux', '--standby', 'pierson', 'drover'])
+    herd = parse_options(HerdOptions, 'herd', ['--mux', '--standby', 'pierson', 'drover'])
     assert (herd.mux, herd.standby) == (True, ('pierson', 'drover'))
     assert not launch_values(DEFAULTS).mux
 
@@ -123,7 +123,7 @@ def test_every_parameter_that_the_launch_file_sets_is_one_of_flock_sim() -> None
     values = launch_values(DEFAULTS)
     assert set(values.flock_sim) <= set(known['/**/flock_sim']['ros__parameters'])
     assert values.flock_sim.items() <= known['/**/flock_sim']['ros__parameters'].items()
-    assert values.setting == settled(Setting())
+    assert values.setting == canonical_setting(Setting())
     stack = stack_in(values.setting, values.controller, **values.flock_sim)
     assert stack[0].parameters.items() <= known['/**/flock_sim']['ros__parameters'].items()
 
@@ -150,7 +150,7 @@ def test_what_a_setting_changes_reaches_the_nodes_that_have_it() -> None:
     options = ['--sheep', '7', '--repulsion', '1.5', '--start', 'scattered', '--noise', '0.5']
     for word in words.split():
         options += ['--set', word]
-    herd = from_words(HerdOptions, 'herd', options)
+    herd = parse_options(HerdOptions, 'herd', options)
     assert stack_in(herd.setting, 'pierson', seed=3) == stack_in(values.setting, 'pierson', seed=3)
 
 

@@ -15,7 +15,7 @@ from shepherd_ros.cli import main
 from shepherd_ros.nodes.herd_node import HerdOptions
 from shepherd_ros.nodes.player_node import PlayerOptions
 from shepherd_ros.nodes.recorder_options import RecorderOptions
-from shepherd_ros.ros.runtime import from_words
+from shepherd_ros.ros.runtime import parse_options
 
 from manual.tables import code, escaped, page, table
 
@@ -132,7 +132,7 @@ def commands() -> str:
         if words:
             parts.append(_section(' '.join(('shepherd', *words)), found, 1 + len(words)))
     for name, options in NODES.items():
-        found = parsed(help_text(partial(from_words, options, name), []))
+        found = parsed(help_text(partial(parse_options, options, name), []))
         parts.append(_section(name, found, 2))
     intro = (
         'Every verb of `shepherd`, then the nodes that have command-line options. '

@@ -47,9 +47,9 @@ class _Info(_Common):
 
     def run(self) -> int:
         """Print it."""
-        from shepherd_ros.datasets.examples import look_at
+        from shepherd_ros.datasets.examples import count_examples
 
-        report = look_at(self.places, self.frames(), self.labels)
+        report = count_examples(self.places, self.frames(), self.labels)
         print(json.dumps(report.to_dict(), indent=1) if self.json else report.text())
         return 0
 

@@ -75,11 +75,11 @@ class Demo(OneSetting):
 
     def _check(self) -> Setting:
         """Return the setting; refuse what no process could do, before any is started."""
-        from shepherd_ros.experiments.setting import settled
+        from shepherd_ros.experiments.setting import canonical_setting
 
         if self.animation not in ('gif', 'mp4', 'none'):
             raise UserError(f'--animation is {self.animation!r}: expected gif, mp4 or none')
-        return settled(self.setting)
+        return canonical_setting(self.setting)
 
     def _herd(
         self,
@@ -96,7 +96,7 @@ class Demo(OneSetting):
         with Progress(*columns, console=console) as progress:
             task = progress.add_task('starting processes', total=steps)
             processes.start(stack[:-1])
-            self._until(lambda: probe.hears_all, processes, probe, hear)
+            self._until(lambda: probe.is_complete, processes, probe, hear)
             processes.start(stack[-1:])
 
             def done() -> bool:
@@ -161,7 +161,7 @@ class Demo(OneSetting):
         """Write picture and animation."""
         from shepherd_ros.view.track import EpisodeTrack
 
-        times, states = probe.whole()
+        times, states = probe.trajectory()
         track: Any = EpisodeTrack(
             times=times,
             sheep=states.sheep.numpy(),

@@ -77,7 +77,7 @@ class Replay:
         """Yield the episodes to compare with the states to ask about."""
         from shepherd_ros.recordings.episodes import episode_of, one_namespace
         from shepherd_ros.recordings.grouping import RecordedGroups
-        from shepherd_ros.recordings.replay_check import asked_frames
+        from shepherd_ros.recordings.replay_check import frames_to_check
         from shepherd_ros.rosbag2.reader import open_bag
 
         bag = open_bag(self.bag)
@@ -92,7 +92,7 @@ class Replay:
                 raise UserError(
                     f'--shepherds has {strangers}: expected 0 to {episode.n_shepherds - 1}'
                 )
-            frames = asked_frames(episode)
+            frames = frames_to_check(episode)
             result.add_episode(episode, frames)
             if frames:
                 yield episode, frames, group
@@ -105,12 +105,12 @@ class Replay:
     def _ask_law(self, asked: Chosen, result: Comparison) -> None:
         """Compare what the law says."""
         from shepherd_ros.recordings.replay import states_of
-        from shepherd_ros.recordings.replay_check import core_answers
+        from shepherd_ros.recordings.replay_check import law_commands
         from shepherd_ros.sim.world import WorldConfig
 
         for episode, frames, _ in self._episodes(result):
             controller = asked.make(WorldConfig.from_dict(episode.world))
-            answers = core_answers(states_of(episode, frames), controller, asked.noise_std)
+            answers = law_commands(states_of(episode, frames), controller, asked.noise_std)
             for frame, (_, command) in zip(frames, answers, strict=True):
                 result.add(episode, frame, dict(enumerate(command.double().numpy())))
 
@@ -139,17 +139,17 @@ class Replay:
                     answers = {}
                     if wanted and not (over and frame is frames[-1]):
                         raw = group.states[frame.step].raw
-                        answers = probe.ask(frame, raw, wanted, processes.check)
+                        answers = probe.request_commands(frame, raw, wanted, processes.check)
                         silent |= wanted - answers.keys()  # not waited for again
                     result.add(episode, frame, answers)
 
     def _team(self) -> list[int]:
         """Return the shepherds that the node shall command."""
         from shepherd_ros.recordings.episodes import one_namespace
-        from shepherd_ros.recordings.grouping import announced
+        from shepherd_ros.recordings.grouping import announced_episodes
         from shepherd_ros.rosbag2.reader import open_bag
 
         bag = open_bag(self.bag)
-        infos = announced(bag, one_namespace(bag, self.namespace))
+        infos = announced_episodes(bag, one_namespace(bag, self.namespace))
         most = max(info.n_shepherds for _, info in infos)
         return sorted(self.shepherds) or list(range(most))

@@ -19,8 +19,8 @@ class Controller:
     """
     A law from perceived state to velocities, without hidden state.
 
-    What it remembers within an episode is a Memory: tensors with the state's leading axes. Random
-    numbers come from the state's seed and step, so the same state gives the same answer.
+    Its state within an episode is a Memory: tensors with the state's leading axes. Random numbers
+    come from the state's seed and step, so the same state gives the same commands.
     """
 
     name: ClassVar[str]
@@ -31,7 +31,7 @@ class Controller:
     style: ClassVar[tuple[str, Any, str] | None] = None  # colour, line, marker; None: a free one
 
     def __init__(self, config: Any, world: WorldConfig) -> None:
-        """Keep the configuration, and that of the world to herd in."""
+        """Store the configuration, and that of the world."""
         self.config = config
         self.world = world
 
@@ -40,7 +40,7 @@ class Controller:
         return {}
 
     def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
-        """Return commands (..., H, 2) m/s, world frame, at most the top speed; and memory."""
+        """Return commands (..., H, 2) m/s, world frame, at most the top speed, and memory."""
         raise NotImplementedError
 
 
@@ -52,14 +52,14 @@ def places_on_arc(around: Tensor, spacing: Tensor, mask: Tensor) -> Tensor:
     Return a place for each shepherd on an arc centred on 0, (..., H) rad.
 
     around (..., H) rad are the shepherds' bearings from the arc's middle, spacing (..., 1) rad is
-    the angle between places, mask (..., H) says who takes part. Places are given in order of
-    bearing, up to the cyclic shift with the shortest ways: nobody crosses anybody, and shepherds
-    on the far side do not change their minds.
+    the angle between places, mask (..., H) bool marks the shepherds that take part. Places are
+    assigned in order of bearing, up to the cyclic shift with the least sum of turns: no two cross,
+    and shepherds on the far side keep their side.
     """
     size = around.shape[-1]
     index = torch.arange(size, device=around.device)
-    mine, other = around[..., :, None], around[..., None, :]
-    before = (other < mine) | ((other == mine) & (index[None, :] < index[:, None]))
+    own, other = around[..., :, None], around[..., None, :]
+    before = (other < own) | ((other == own) & (index[None, :] < index[:, None]))
     rank = (before & mask[..., None, :]).sum(dim=-1)
     count = mask.sum(dim=-1, keepdim=True).clamp(min=1)  # (..., 1)
     shifted = (rank[..., None, :] + index[:, None]) % count[..., None]  # (..., shift, H)

@@ -1,5 +1,5 @@
 """
-The drover, a heuristic of this project: drives from far behind, lets go when the flock is home.
+The drover, a heuristic of this project: drives from far behind, stops once the flock is home.
 
 Pushes do not grow with nearness in the Strömbom flock, and sheep rest while nobody is near. So the
 team stands on an arc behind the flock, seen from the goal, as far as it can and still be noticed;
@@ -9,8 +9,7 @@ nearer; it runs to its ring, which is so narrow that they are turned back wherev
 two shepherds cannot close it: they run around such a flock and only ever touch its rim, so that it
 turns back and forth over the goal. Shepherds that come near each other pass on the right.
 
-All of it follows from what is there now: the drover remembers nothing, so that whoever sees the
-same can learn it.
+Its commands follow from the present state alone: it has no memory, so that a policy can learn it.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ import torch
 from torch import Tensor
 
 EDGE_OVER_RMS = 2**0.5  # of a disc, over the root mean square distance from its middle
-TURN_DISTANCE = 0.75  # [goal radii] a flock so near the middle of the goal is turned
+TURN_DISTANCE = 0.75  # [goal radii] from the middle of the goal, within which a flock is turned
 CLOSED_GAP = 4.0  # [rad] a team without a wider gap stands on a ring
 
 
@@ -94,24 +93,24 @@ class DroverConfig(Config):
 
 
 class Ring(NamedTuple):
-    """The ring about a flock that is home."""
+    """Ring about a flock in the goal: its size, and the shepherds that close it."""
 
     reach: float  # the option of that name [goal radii]
-    least: int  # shepherds who can close it
+    least: int  # shepherds that can close it
 
 
 WIDE_RING = Ring(0.45, 2)  # about sheep that rest when nobody is near
 NARROW_RING = Ring(-0.15, 3)  # about sheep that never rest
 
 
-def share_inside(state: WorldState) -> Tensor:
-    """Return the share of the flock in the goal, (..., 1)."""
+def fraction_inside(state: WorldState) -> Tensor:
+    """Return the fraction of the flock in the goal, (..., 1)."""
     return (state.inside.sum(dim=-1) / state.flock_size)[..., None]
 
 
 @CONTROLLERS.add
 class DroverController(Controller):
-    """Drives until all sheep are inside, then lets go until some are outside again."""
+    """Drives until all sheep are inside, then stops until some are outside again."""
 
     name = 'drover'
     config_type = DroverConfig
@@ -121,7 +120,7 @@ class DroverController(Controller):
     style = ('#CC79A7', '-.', 'D')
 
     def __init__(self, *args: Any, **options: Any) -> None:
-        """Choose how to drive the flock of the world."""
+        """Select ring and pace for the flock of the world."""
         super().__init__(*args, **options)
         config: DroverConfig = self.config
         self.restless = self.world.flock.restless
@@ -131,95 +130,103 @@ class DroverController(Controller):
         self.reach, self.least = config.ring_reach or ring.reach, ring.least
 
     def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
-        """Return commands (..., H, 2) m/s and memory."""
+        """Return commands (..., H, 2) m/s, and memory, which stays empty."""
         goal, center = state.goal[..., None, :], state.center[..., None, :]  # (..., 1, 2) m
         behind = bearing(center - goal)  # (..., 1) rad
-        away = torch.linalg.vector_norm(center - goal, dim=-1)
+        goal_distance = torch.linalg.vector_norm(center - goal, dim=-1)
         squared = (state.sheep - center).square().sum(dim=-1)  # (..., N) m2
-        far = EDGE_OVER_RMS * masked_mean(squared[..., None], state.sheep_mask).sqrt()
-        few = state.team_size[..., None] < self.least
-        clear = far + self.config.standoff
+        flock_radius = EDGE_OVER_RMS * masked_mean(squared[..., None], state.sheep_mask).sqrt()
+        too_small = state.team_size[..., None] < self.least
+        clearance = flock_radius + self.config.standoff
 
-        formation = self._arc_or_ring(state, behind, away, clear)
+        formation = self._arc_or_ring(state, behind, goal_distance, clearance)
         if self.restless:
-            near = away < self.config.touch_distance * state.goal_radius[..., None]
-            formation = self._touch(state, behind, away, far).where(few & near, formation)
+            near = goal_distance < self.config.touch_distance * state.goal_radius[..., None]
+            formation = self._touch_formation(state, behind, goal_distance, flock_radius).where(
+                too_small & near, formation
+            )
         else:
-            inside = share_inside(state) >= self.config.lone_share
-            formation = self._alone(state, formation).where(few & inside, formation)
+            inside = fraction_inside(state) >= self.config.lone_share
+            formation = self._lone_formation(state, formation).where(too_small & inside, formation)
 
         place = formation.places(state)
         target = formation.about + formation.distance[..., None] * from_bearing(place)
         gain, speed = self.config.gain, self.world.shepherd_speed
         along = formation.displacement_along(state, place, gain)
         displacement = torch.where(
-            formation.along[..., None], along, detour(state, target, center, clear)
+            formation.along[..., None], along, detour(state, target, center, clearance)
         )
-        aside = separation(state, self.config.separation) * speed
-        return clip_norm(clip_norm(displacement * gain, speed) + aside, speed), memory
+        avoidance = separation(state, self.config.separation) * speed
+        return clip_norm(clip_norm(displacement * gain, speed) + avoidance, speed), memory
 
     def _arc_or_ring(
-        self, state: WorldState, behind: Tensor, away: Tensor, clear: Tensor
+        self, state: WorldState, behind: Tensor, goal_distance: Tensor, clearance: Tensor
     ) -> Formation:
-        """Return the arc behind the flock, the ring about the goal, or what is between them."""
+        """Return the arc behind the flock, the ring about the goal, or a mean of the two."""
         config, goal = self.config, state.goal[..., None, :]
         radius, team = state.goal_radius[..., None], state.team_size[..., None]
         angle = bearing(state.shepherds - goal)
         if self.restless:  # in haste
             gap = bearings_in_order(angle, state.shepherd_mask)[1].amax(dim=-1, keepdim=True)
-            least = torch.where(gap < CLOSED_GAP, config.reopen_share, config.close_share)
-            arc = (share_inside(state) < least).to(away.dtype)
+            threshold = torch.where(gap < CLOSED_GAP, config.reopen_share, config.close_share)
+            arc = (fraction_inside(state) < threshold).to(goal_distance.dtype)
         else:
-            arc = away / radius - config.open_until
+            arc = goal_distance / radius - config.open_until
             arc = (arc / (config.open_from - config.open_until)).clamp(0.0, 1.0)
         arc = torch.where(team < self.least, 1.0, arc)
-        part = FULL_TURN / team
+        angle_each = FULL_TURN / team
         # a ring is where the team is; all turns by a part give the same places
         turn = middle_of_ring(angle, state.shepherd_mask)[..., None] - behind
-        turn = torch.remainder(turn + part / 2, part) - part / 2
-        driving = (away + clear).clamp(min=self.notice)
+        turn = torch.remainder(turn + angle_each / 2, angle_each) - angle_each / 2
+        driving = (goal_distance + clearance).clamp(min=self.notice)
         ring = self.notice + self.reach * radius
         return Formation(
             about=goal,
             distance=arc * driving + (1 - arc) * ring,
             middle=behind + (1 - arc) * turn,
-            spacing=arc * config.spacing + (1 - arc) * part,
+            spacing=arc * config.spacing + (1 - arc) * angle_each,
             along=arc < 1,
             pace=self.world.shepherd_speed * torch.where(arc < 1, self.pace, 1.0),
             even=arc == 0,
         )
 
-    def _alone(self, state: WorldState, formation: Formation) -> Formation:
-        """Return where a lone shepherd faces the nearest stray, with most of them inside."""
+    def _lone_formation(self, state: WorldState, formation: Formation) -> Formation:
+        """Return the formation of a lone shepherd: it faces the nearest stray."""
         goal, radius = state.goal[..., None, :], state.goal_radius[..., None]
-        own = bearing(masked_mean(state.shepherds, state.shepherd_mask)[..., None, :] - goal)
+        team_bearing = bearing(
+            masked_mean(state.shepherds, state.shepherd_mask)[..., None, :] - goal
+        )
         gap = torch.where(state.sheep_mask, state.gap, -torch.inf)  # (..., N) m
         outside = gap > self.config.stray_distance
         stray = bearing(state.sheep - goal)  # (..., N)
-        off = torch.where(outside, wrap(stray - own).abs(), torch.inf)
-        least, nearest = off.min(dim=-1, keepdim=True)
-        there = torch.where(least < torch.inf, stray.gather(-1, nearest), own)
+        angle = torch.where(outside, wrap(stray - team_bearing).abs(), torch.inf)
+        smallest, nearest = angle.min(dim=-1, keepdim=True)
+        middle = torch.where(smallest < torch.inf, stray.gather(-1, nearest), team_bearing)
         return replace(
             formation,
             distance=self.notice + self.reach * radius,
-            middle=there,
+            middle=middle,
             along=torch.ones_like(formation.along),
             pace=self.config.ring_speed
             * torch.full_like(formation.pace, self.world.shepherd_speed),
             even=torch.zeros_like(formation.even),
         )
 
-    def _touch(self, state: WorldState, behind: Tensor, away: Tensor, far: Tensor) -> Formation:
-        """Return where to touch the rim of a flock, to turn it on its way over the goal."""
+    def _touch_formation(
+        self, state: WorldState, behind: Tensor, goal_distance: Tensor, flock_radius: Tensor
+    ) -> Formation:
+        """Return the formation at the rim of a flock, to turn it on its path over the goal."""
         heading = bearing(masked_mean(state.heading, state.sheep_mask))[..., None]
         side = torch.where(torch.sin(heading - behind) >= 0, 1.0, -1.0)
-        crossing = (1 - away / (TURN_DISTANCE * state.goal_radius[..., None])).clamp(min=0.0)
+        crossing = (1 - goal_distance / (TURN_DISTANCE * state.goal_radius[..., None])).clamp(
+            min=0.0
+        )
         return Formation(
             about=state.center[..., None, :],
-            distance=far + self.notice - self.config.touch_depth,
+            distance=flock_radius + self.notice - self.config.touch_depth,
             middle=behind - side * self.config.touch_angle * crossing,
-            spacing=torch.full_like(away, self.config.touch_spacing),
-            along=torch.ones_like(away, dtype=torch.bool),
-            pace=torch.full_like(away, self.world.shepherd_speed),
-            even=torch.zeros_like(away, dtype=torch.bool),
+            spacing=torch.full_like(goal_distance, self.config.touch_spacing),
+            along=torch.ones_like(goal_distance, dtype=torch.bool),
+            pace=torch.full_like(goal_distance, self.world.shepherd_speed),
+            even=torch.zeros_like(goal_distance, dtype=torch.bool),
         )

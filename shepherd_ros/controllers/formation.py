@@ -1,4 +1,4 @@
-"""Places of a team on a circle, and the ways to them that do not cut through the flock."""
+"""Places of a team on a circle, and paths to them around the flock."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def bearings_in_order(angle: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
     """
     Return bearings (..., H) in [0, 2 pi) rad in order, and the gap after each, around the circle.
 
-    mask (..., H) says who is there; the others come last, at inf and with a gap of -inf.
+    mask (..., H) marks the present ones; the others come last, at inf and with a gap of -inf.
     """
     count = mask.sum(dim=-1, keepdim=True)
     angle = torch.where(mask, torch.remainder(angle, FULL_TURN), torch.inf).sort(dim=-1).values
@@ -34,10 +34,10 @@ def bearings_in_order(angle: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
 
 def middle_of_ring(angle: Tensor, mask: Tensor) -> Tensor:
     """
-    Return the middle of places all around that are, in the mean, where shepherds are; (...) rad.
+    Return the bearing of the middle of a ring of places that fits the shepherds, (...) rad.
 
-    angle (..., H) rad are the shepherds' bearings, mask (..., H) says who is there. It is their
-    mean, read from the widest gap between them on; on a whole ring all gaps give the same places.
+    angle (..., H) rad are their bearings, mask (..., H) marks the present ones. It is their mean,
+    counted from the widest gap between them; on a whole ring all gaps give the same places.
     """
     angle, gap = bearings_in_order(angle, mask)
     widest = gap.argmax(dim=-1, keepdim=True)
@@ -50,21 +50,21 @@ def midway(angle: Tensor, mask: Tensor) -> Tensor:
     """
     Return the bearings (..., H) rad midway between the two neighbours of each on a circle.
 
-    angle (..., H) rad are the bearings of all, mask (..., H) says who is there. Who has but one
-    neighbour has it on both sides; who is alone stays.
+    angle (..., H) rad are the bearings of all, mask (..., H) marks the present ones. With one
+    neighbour, it is on both sides; without any, the bearing stays.
     """
-    ahead = torch.remainder(
+    angle_to = torch.remainder(
         angle[..., None, :] - angle[..., :, None], FULL_TURN
     )  # from row to column
     other = mask[..., None, :] & ~torch.eye(angle.shape[-1], dtype=torch.bool, device=angle.device)
-    gap_ahead = torch.where(other, ahead, FULL_TURN).amin(dim=-1)
-    gap_behind = torch.where(other, FULL_TURN - ahead, FULL_TURN).amin(dim=-1)
+    gap_ahead = torch.where(other, angle_to, FULL_TURN).amin(dim=-1)
+    gap_behind = torch.where(other, FULL_TURN - angle_to, FULL_TURN).amin(dim=-1)
     return angle + (gap_ahead - gap_behind) / 2
 
 
 @dataclass(frozen=True)
 class Formation:
-    """Places for a team: on a circle, evenly apart; (..., 1) each."""
+    """Places for a team on a circle, evenly spaced; (..., 1) each."""
 
     about: Tensor  # the circle's middle, (..., 1, 2) m
     distance: Tensor  # its radius [m]
@@ -75,7 +75,7 @@ class Formation:
     even: Tensor  # whether each is midway between its neighbours, wherever the middle is
 
     def where(self, mask: Tensor, other: Formation) -> Formation:
-        """Return this one where the mask (..., 1) is set, else the other."""
+        """Return this formation where the mask (..., 1) is set, else the other."""
         pairs = {name: (getattr(self, name), getattr(other, name)) for name in vars(self)}
         about = torch.where(mask[..., None], *pairs.pop('about'))
         return Formation(about, **{name: torch.where(mask, *pair) for name, pair in pairs.items()})
@@ -89,17 +89,17 @@ class Formation:
 
     def displacement_along(self, state: WorldState, place: Tensor, gain: float) -> Tensor:
         """Return displacements to bearings (..., H) rad, along the circle; (..., H, 2) m."""
-        out, stand = state.shepherds - self.about, self.distance
-        distance = torch.linalg.vector_norm(out, dim=-1)
-        angle = bearing(out)
+        offset, radius = state.shepherds - self.about, self.distance
+        distance = torch.linalg.vector_norm(offset, dim=-1)
+        angle = bearing(offset)
         step = self.pace / gain  # [m] driven in a time constant of the gain
-        nearer = (stand - distance).clamp(-step, step)
-        near = torch.full_like(stand, NEARLY_ON_CIRCLE)
-        outside = distance + nearer >= stand - torch.minimum(stand / 2, near)
-        turn = wrap(place - angle).clamp(-step / stand, step / stand)
+        radial = (radius - distance).clamp(-step, step)
+        margin = torch.full_like(radius, NEARLY_ON_CIRCLE)
+        outside = distance + radial >= radius - torch.minimum(radius / 2, margin)
+        turn = wrap(place - angle).clamp(-step / radius, step / radius)
         turn = torch.where(outside, turn, 0.0)
-        there = self.about + (distance + nearer)[..., None] * from_bearing(angle + turn)
-        return there - state.shepherds
+        point = self.about + (distance + radial)[..., None] * from_bearing(angle + turn)
+        return point - state.shepherds
 
 
 def detour(state: WorldState, target: Tensor, center: Tensor, clear: Tensor) -> Tensor:
@@ -121,9 +121,9 @@ def detour(state: WorldState, target: Tensor, center: Tensor, clear: Tensor) -> 
 
 def separation(state: WorldState, reach: float) -> Tensor:
     """
-    Return the push from others nearer than reach [m], (..., H, 2): 2 long from one at hand.
+    Return the push from others nearer than reach [m], (..., H, 2); its length is 2 at contact.
 
-    It keeps to the right, so that two who want to go where the other is pass by each other.
+    It is turned to the right, so that two shepherds that would swap places pass each other.
     """
     offset = state.shepherds[..., :, None, :] - state.shepherds[..., None, :, :]
     distance = torch.linalg.vector_norm(offset, dim=-1)

@@ -1,4 +1,4 @@
-"""A floor: shepherds that stand still."""
+"""Lower baseline: shepherds that stand still."""
 
 from __future__ import annotations
 
@@ -27,5 +27,5 @@ class IdleController(Controller):
     style = ('#8A949B', (0, (1, 3)), 'x')
 
     def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
-        """Return zeros, (..., H, 2) m/s."""
+        """Return zeros, (..., H, 2) m/s, and memory, which stays empty."""
         return torch.zeros_like(state.shepherds), memory

@@ -61,26 +61,26 @@ class PiersonConfig(Config):
         """Check each field and the order of the limits."""
         super().__post_init__()
         for low, high in (('weakest_push', 'strongest_push'), ('min_radius', 'max_radius')):
-            least, most = getattr(self, low), getattr(self, high)
-            if least > most and most > 0:
-                raise ConfigError(f'{low} is {least}: expected at most {high}, {most}')
+            lower, upper = getattr(self, low), getattr(self, high)
+            if lower > upper and upper > 0:
+                raise ConfigError(f'{low} is {lower}: expected at most {high}, {upper}')
 
 
-def push_share(opening: Tensor, team: Tensor) -> Tensor:
-    """Return q(Delta) in [0, 1]: an arc's push over that of a point; q(0) = 1."""
+def push_fraction(opening: Tensor, team: Tensor) -> Tensor:
+    """Return q(Delta) in [0, 1]: the push of an arc relative to that of a point; q(0) = 1."""
     half = opening / (2 * team - 2).clamp(min=1)
     below = team * torch.sin(half)
     return torch.where(half < 1e-4, 1.0, torch.sin(team * half) / below.clamp(min=1e-9))
 
 
-def opening_for(share: Tensor, team: Tensor) -> Tensor:
-    """Return the opening Delta [rad] with push_share() = share, by refining a grid."""
-    low = torch.zeros_like(share)
+def opening_for(fraction: Tensor, team: Tensor) -> Tensor:
+    """Return the opening Delta [rad] with push_fraction() = fraction, by refining a grid."""
+    low = torch.zeros_like(fraction)
     width = 2 * math.pi * (team - 1) / team
-    grid = torch.linspace(0.0, 1.0, 33, dtype=share.dtype, device=share.device)
+    grid = torch.linspace(0.0, 1.0, 33, dtype=fraction.dtype, device=fraction.device)
     for _ in range(5):  # 32^5 cells: finer than float32
-        shares = push_share(low[..., None] + width[..., None] * grid, team[..., None])
-        cell = (shares[..., 1:-1] >= share[..., None]).sum(dim=-1)  # q falls monotonically
+        fractions = push_fraction(low[..., None] + width[..., None] * grid, team[..., None])
+        cell = (fractions[..., 1:-1] >= fraction[..., None]).sum(dim=-1)  # q falls monotonically
         low = low + width * grid[cell]
         width = width / 32
     return low + width / 2
@@ -88,7 +88,7 @@ def opening_for(share: Tensor, team: Tensor) -> Tensor:
 
 @CONTROLLERS.add
 class PiersonController(Controller):
-    """Drives from an arc around the flock; remembers the heading of the flock."""
+    """Drives from an arc around the flock; its memory is the heading of the flock."""
 
     name = 'pierson'
     config_type = PiersonConfig
@@ -98,11 +98,11 @@ class PiersonController(Controller):
     style = ('#0072B2', ':', '^')
 
     def begin(self, state: WorldState) -> Memory:
-        """Return the first heading: from the flock to the goal."""
+        """Return the first heading (...) rad: from the flock to the goal."""
         return {'heading': bearing(state.goal - state.center)}
 
     def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
-        """Return commands, (..., H, 2) m/s, and the turned heading."""
+        """Return commands, (..., H, 2) m/s, and the next heading (...) rad."""
         config, world, flock, heading = (
             self.config,
             self.world,
@@ -134,8 +134,8 @@ class PiersonController(Controller):
         heading = wrap(heading + turn_rate * world.dt)
 
         team = state.team_size.to(heading.dtype)
-        share = (speed / drift).clamp(config.weakest_push, config.strongest_push)
-        opening = opening_for(share, team.clamp(min=2))
+        push = (speed / drift).clamp(config.weakest_push, config.strongest_push)
+        opening = opening_for(push, team.clamp(min=2))
         spread = flock_spread(state)[0]
         radius = (config.spread_factor * spread).clamp(config.min_radius, max_radius)
         # one shepherd stands opposite to the way to the goal, at the same radius

@@ -10,7 +10,7 @@ import numpy as np
 from shepherd_ros.sim.compiled import compiled, flat_array
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import EPSILON
-from shepherd_ros.sim.vectors_compiled import bearing_xy, mean, take_places, unit_xy, wrap_angle
+from shepherd_ros.sim.vectors_compiled import assign_places, bearing_xy, mean, unit_xy, wrap_angle
 import torch
 from torch import Tensor
 
@@ -20,7 +20,7 @@ _PI, _TURN = np.float32(math.pi), np.float32(2 * math.pi)
 
 
 @compiled
-def _share(opening, team):
+def _push_fraction(opening, team):
     half = opening / max(_TWO * team - _TWO, _ONE)
     if half < np.float32(1e-4):
         return _ONE
@@ -30,11 +30,11 @@ def _share(opening, team):
 
 @compiled
 def _opening(share, team):
-    """Return the opening with that share: it falls from 1 to 0, so halves are enough."""
+    """Return the opening [rad] of a push fraction, which falls from 1 to 0, by bisection."""
     low, width = _ZERO, _TURN * (team - _ONE) / team
     for _ in range(25):
         width /= _TWO
-        if _share(low + width, team) >= share:
+        if _push_fraction(low + width, team) >= share:
             low += width
     return low + width / _TWO
 
@@ -63,17 +63,17 @@ def _pierson(
         x, y, count = mean(sheep[b], sheep_mask[b])
         spread = _spread(sheep[b], sheep_mask[b], x, y, count)
         cos, sin = np.float32(math.cos(heading[b])), np.float32(math.sin(heading[b]))
-        ahead_x, ahead_y = x + lead * cos - goal[b, 0], y + lead * sin - goal[b, 1]
-        speed = -gain * (ahead_x * cos + ahead_y * sin)
-        turn_rate = -gain / lead * (ahead_y * cos - ahead_x * sin)
+        lead_x, lead_y = x + lead * cos - goal[b, 0], y + lead * sin - goal[b, 1]
+        speed = -gain * (lead_x * cos + lead_y * sin)
+        turn_rate = -gain / lead * (lead_y * cos - lead_x * sin)
         turn_rate = min(max(turn_rate, -max_turn_rate), max_turn_rate)
         course = wrap_angle(heading[b] + turn_rate * dt)
         new_heading[b] = course
 
-        here = 0
+        present = 0
         for h in range(size):
-            here += shepherd_mask[b, h]
-        team = np.float32(here)
+            present += shepherd_mask[b, h]
+        team = np.float32(present)
         share = min(max(speed / pace, weakest), strongest)
         radius = min(max(spread_factor * spread, min_radius), max_radius)
         rear, spacing = course + _PI, _ZERO
@@ -86,16 +86,16 @@ def _pierson(
                 around[h] = wrap_angle(
                     bearing_xy(shepherds[b, h, 0] - x, shepherds[b, h, 1] - y) - rear
                 )
-            take_places(around, spacing, shepherd_mask[b], place)
+            assign_places(around, spacing, shepherd_mask[b], place)
         else:
             for h in range(size):
                 place[h] = (np.float32(h) - (team - _ONE) / _TWO) * spacing
         for h in range(size):
             velocity[b, h, 0], velocity[b, h, 1] = _ZERO, _ZERO
             if shepherd_mask[b, h]:
-                at = rear + place[h]
-                to_x = x + radius * np.float32(math.cos(at)) - shepherds[b, h, 0]
-                to_y = y + radius * np.float32(math.sin(at)) - shepherds[b, h, 1]
+                angle = rear + place[h]
+                to_x = x + radius * np.float32(math.cos(angle)) - shepherds[b, h, 0]
+                to_y = y + radius * np.float32(math.sin(angle)) - shepherds[b, h, 1]
                 if constant:
                     to_x, to_y = unit_xy(to_x, to_y)
                     velocity[b, h, 0], velocity[b, h, 1] = top * to_x, top * to_y

@@ -1,4 +1,4 @@
-"""The learned controller: each shepherd looks through its own lidar and acts for itself."""
+"""The learned controller: each shepherd acts on the scans of its own lidar."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class LearnedConfig(Config):
 
 @CONTROLLERS.add
 class LearnedController(Controller):
-    """Runs a policy for all shepherds; remembers what each has seen and its last command."""
+    """Runs a policy for all shepherds; its memory is the scans and the last command of each."""
 
     name = 'policy'
     config_type = LearnedConfig
@@ -40,7 +40,7 @@ class LearnedController(Controller):
         policy: Policy | None = None,
         dtype: torch.dtype = torch.float32,
     ) -> None:
-        """Load the checkpoint, or take the policy that is given; check that it fits the world."""
+        """Load the checkpoint unless a policy is given; check that it fits the world."""
         super().__init__(config, world)
         if policy is None:
             from shepherd_ros.policy.checkpoint import (
@@ -53,7 +53,7 @@ class LearnedController(Controller):
         require_same_world(self.policy, world)
 
     def begin(self, state: WorldState) -> Memory:
-        """Return the memory of a team that has seen nothing."""
+        """Return the memory of a team before its first scan."""
         team = state.shepherds.shape[-2]
         return inference.begin(self.policy, state.step.shape, team, self.dtype)
 
@@ -62,10 +62,10 @@ class LearnedController(Controller):
         return scan(state, self.policy.config.lidar)
 
     def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
-        """Return new commands where it is time to decide, else the held ones; and memory."""
+        """Return commands (..., H, 2) m/s, held between decisions, and memory."""
 
         def draws() -> Tensor:
-            return action_draws(state.seed, state.step, state.shepherds.shape[-2])
+            return sample_noise(state.seed, state.step, state.shepherds.shape[-2])
 
         return inference.act(
             self.policy,
@@ -77,8 +77,8 @@ class LearnedController(Controller):
         )
 
 
-def action_draws(seed: Tensor, step: Tensor, team: int) -> Tensor:
-    """Return the random numbers (..., H, 2) of sampled actions of a team."""
+def sample_noise(seed: Tensor, step: Tensor, team: int) -> Tensor:
+    """Return the standard normal numbers (..., H, 2) of sampled actions of a team."""
     index = torch.arange(2 * team, device=step.device)
     return normal(seed, step, Stream.ACTION, index).unflatten(-1, (-1, 2))
 

@@ -1,4 +1,4 @@
-"""A floor: shepherds that wander at random."""
+"""Lower baseline: shepherds that wander at random."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class RandomController(Controller):
     style = ('#B5BCC1', (0, (5, 4)), '+')
 
     def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
-        """Return random velocities, (..., H, 2) m/s."""
+        """Return random velocities, (..., H, 2) m/s, and memory, which stays empty."""
         index = torch.arange(state.shepherds.shape[-2], device=state.shepherds.device)
         drawn = torch.div(state.step, self.config.hold_steps, rounding_mode='floor')
         course = direction(state.seed, drawn, Stream.CONTROL, index, state.shepherds.dtype)

@@ -82,7 +82,7 @@ class StrombomController(Controller):
         return self.config.stop_distance or self.config.stop_range * self.interaction_range
 
     def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
-        """Return commands, (..., H, 2) m/s."""
+        """Return commands, (..., H, 2) m/s, and memory, which stays empty."""
         if compilable(state.sheep, state.shepherds):
             r, stop, world = self.interaction_range, self.stop_distance, self.world
             velocity = strombom_act(state, self.config, r, stop, world.dt, world.shepherd_speed)
@@ -102,27 +102,29 @@ class StrombomController(Controller):
         """Return the place of each shepherd, (..., H, 2) m: behind a stray or on the arc."""
         r, n = self.interaction_range, state.flock_size.to(distance.dtype)
         if self.config.position_law == 'strombom':
-            together, behind, collect = r * n ** (2 / 3), r * n.sqrt(), r
+            max_spread, behind, collect = r * n ** (2 / 3), r * n.sqrt(), r
         else:
-            together = r * (2 * n).sqrt()
-            behind, collect = together + self.config.standoff, self.config.standoff
+            max_spread = r * (2 * n).sqrt()
+            behind, collect = max_spread + self.config.standoff, self.config.standoff
 
         shepherds, free = state.shepherds, state.shepherd_mask
         index = torch.arange(shepherds.shape[-2], device=shepherds.device)
         farthest = distance.topk(min(shepherds.shape[-2], distance.shape[-1]), dim=-1)
-        stray = farthest.values > together[..., None]  # (..., K), far to near
+        stray = farthest.values > max_spread[..., None]  # (..., K), far to near
         target = torch.zeros_like(shepherds)
         for k in range(stray.shape[-1] if bool(stray.any()) else 0):
-            which = farthest.indices[..., k, None, None].expand(*state.sheep.shape[:-2], 1, 2)
-            sheep = state.sheep.gather(-2, which)
-            away = torch.linalg.vector_norm(shepherds - sheep, dim=-1).masked_fill(
+            index_of_sheep = farthest.indices[..., k, None, None].expand(
+                *state.sheep.shape[:-2], 1, 2
+            )
+            sheep = state.sheep.gather(-2, index_of_sheep)
+            shepherd_distance = torch.linalg.vector_norm(shepherds - sheep, dim=-1).masked_fill(
                 ~free, torch.inf
             )
-            nearest = index == away.argmin(dim=-1, keepdim=True)
-            taken = nearest & free & stray[..., k, None]
+            nearest = index == shepherd_distance.argmin(dim=-1, keepdim=True)
+            assigned = nearest & free & stray[..., k, None]
             behind_stray = sheep + collect * unit(sheep - center[..., None, :])
-            target = torch.where(taken[..., None], behind_stray, target)
-            free = free & ~taken
+            target = torch.where(assigned[..., None], behind_stray, target)
+            free = free & ~assigned
 
         rear = bearing(center - state.goal)[..., None]
         around = wrap(bearing(shepherds - center[..., None, :]) - rear)
@@ -139,7 +141,7 @@ class StrombomController(Controller):
     def _approach(
         self, state: WorldState, center: Tensor, radius: Tensor, target: Tensor
     ) -> Tensor:
-        """Return velocities (..., H, 2) m/s to the targets, round the flock if it is between."""
+        """Return velocities (..., H, 2) m/s to the targets, around the flock if it is between."""
         config, dt, top = self.config, self.world.dt, self.world.shepherd_speed
         r, shepherds, center = self.interaction_range, state.shepherds, center[..., None, :]
         margin = config.arc_margin or 3 * r
@@ -150,8 +152,8 @@ class StrombomController(Controller):
 
         offset = shepherds - center
         d = torch.linalg.vector_norm(offset, dim=-1)
-        wanted = bearing(target - center)
-        turn = wrap(wanted - bearing(offset))
+        target_bearing = bearing(target - center)
+        turn = wrap(target_bearing - bearing(offset))
         next_offset = offset + speed[..., None] * dt * course
         blocked = torch.linalg.vector_norm(next_offset, dim=-1) < radius
         detour = (turn.abs() > config.arc_tolerance) & blocked
@@ -173,8 +175,8 @@ class StrombomController(Controller):
             index = torch.arange(shepherds.shape[-2], device=shepherds.device)
             random = direction(state.seed, state.step, Stream.CONTROL, index, course.dtype)
             course = unit(course + config.noise * random)
-        apart = torch.linalg.vector_norm(
+        sheep_distance = torch.linalg.vector_norm(
             shepherds[..., :, None, :] - state.sheep[..., None, :, :], dim=-1
         ).masked_fill(~state.sheep_mask[..., None, :], torch.inf)
-        speed = speed.masked_fill(apart.amin(dim=-1) < self.stop_distance, 0.0)
+        speed = speed.masked_fill(sheep_distance.amin(dim=-1) < self.stop_distance, 0.0)
         return speed[..., None] * course

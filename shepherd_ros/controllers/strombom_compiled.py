@@ -12,10 +12,10 @@ from shepherd_ros.sim.rng import Stream
 from shepherd_ros.sim.rng_compiled import direction_at, stream_key
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors_compiled import (
+    assign_places,
     bearing_xy,
     length,
     mean,
-    take_places,
     unit_xy,
     wrap_angle,
 )
@@ -24,15 +24,15 @@ from torch import Tensor
 
 _CONTROL = int(Stream.CONTROL)
 _ZERO, _ONE, _TWO = np.float32(0), np.float32(1), np.float32(2)
-_PI, _FAR = np.float32(math.pi), np.float32(np.inf)
+_PI, _INF = np.float32(math.pi), np.float32(np.inf)
 
 
 @compiled
 def _strombom_targets(
-    sheep, sheep_mask, shepherds, shepherd_mask, x, y, distance, rear, together, behind, collect,
+    sheep, sheep_mask, shepherds, shepherd_mask, x, y, distance, rear, max_spread, behind, collect,
     spacing, free, target,
 ):  # fmt: skip
-    """Write the place of each shepherd into target (H, 2), and who collects nothing into free."""
+    """Write the place of each shepherd into target (H, 2), those that do not collect into free."""
     team, place = shepherds.shape[0], np.empty(shepherds.shape[0], np.float32)
     for h in range(team):
         free[h] = shepherd_mask[h]
@@ -41,14 +41,16 @@ def _strombom_targets(
         for i in range(sheep.shape[0]):
             if distance[i] > distance[stray]:
                 stray = i
-        if not distance[stray] > together:
+        if not distance[stray] > max_spread:
             break
         distance[stray] = -_ONE
-        nearest, shortest = -1, _FAR
+        nearest, shortest = -1, _INF
         for h in range(team):
-            apart = length(shepherds[h, 0] - sheep[stray, 0], shepherds[h, 1] - sheep[stray, 1])
-            if free[h] and apart < shortest:
-                nearest, shortest = h, apart
+            shepherd_distance = length(
+                shepherds[h, 0] - sheep[stray, 0], shepherds[h, 1] - sheep[stray, 1]
+            )
+            if free[h] and shepherd_distance < shortest:
+                nearest, shortest = h, shepherd_distance
         if nearest >= 0:
             free[nearest] = False
             away_x, away_y = unit_xy(sheep[stray, 0] - x, sheep[stray, 1] - y)
@@ -57,7 +59,7 @@ def _strombom_targets(
     around = np.empty(team, np.float32)
     for h in range(team):
         around[h] = wrap_angle(bearing_xy(shepherds[h, 0] - x, shepherds[h, 1] - y) - rear)
-    take_places(around, spacing, free, place)
+    assign_places(around, spacing, free, place)
     for h in range(team):
         if free[h]:
             slot = rear + place[h]
@@ -67,7 +69,7 @@ def _strombom_targets(
 
 @compiled
 def _detour(x, y, d, radius, stride, turn):
-    """Return the way round the flock for a shepherd at x, y from its center, d metres out."""
+    """Return the course around the flock for a shepherd at x, y from its center, d metres out."""
     out_x, out_y = unit_xy(x, y)
     side = -_ONE if turn < 0 else _ONE
     along_x, along_y = -out_y * side, out_x * side
@@ -97,7 +99,7 @@ def _distances(sheep, mask, x, y, distance):
 @compiled
 def _nearest(sheep, mask, x, y):
     """Return the distance of the nearest present sheep from x, y [m]."""
-    nearest = _FAR
+    nearest = _INF
     for i in range(sheep.shape[0]):
         dx, dy = x - sheep[i, 0], y - sheep[i, 1]
         if mask[i]:
@@ -118,21 +120,21 @@ def _strombom(
         x, y, count = mean(sheep[b], sheep_mask[b])
         size = np.float32(count)
         largest, root = _distances(sheep[b], sheep_mask[b], x, y, distance)
-        radius, here = (root if rms else largest) + margin, 0
+        radius, present = (root if rms else largest) + margin, 0
         for h in range(team):
-            here += shepherd_mask[b, h]
-        together, collect = r * np.float32(size ** (2 / 3)), r
+            present += shepherd_mask[b, h]
+        max_spread, collect = r * np.float32(size ** (2 / 3)), r
         behind = r * np.float32(math.sqrt(size))
         if elfiqi:
-            together, collect = r * np.float32(math.sqrt(_TWO * size)), standoff
-            behind = together + standoff
+            max_spread, collect = r * np.float32(math.sqrt(_TWO * size)), standoff
+            behind = max_spread + standoff
         spacing = wing_spacing
         if spacing == 0:
-            spacing = _PI / np.float32(2 * max(here, 1))
+            spacing = _PI / np.float32(2 * max(present, 1))
         rear = bearing_xy(x - goal[b, 0], y - goal[b, 1])
         _strombom_targets(
             sheep[b], sheep_mask[b], shepherds[b], shepherd_mask[b], x, y, distance, rear,
-            together, behind, collect, spacing, free, target,
+            max_spread, behind, collect, spacing, free, target,
         )  # fmt: skip
         key = stream_key(seed[b], step[b], _CONTROL)
         for h in range(team):
@@ -143,13 +145,13 @@ def _strombom(
             to_x, to_y = target[h, 0] - shepherds[b, h, 0], target[h, 1] - shepherds[b, h, 1]
             course_x, course_y = unit_xy(to_x, to_y)
             speed = min(length(to_x, to_y) / dt, top)
-            off_x, off_y = shepherds[b, h, 0] - x, shepherds[b, h, 1] - y
+            offset_x, offset_y = shepherds[b, h, 0] - x, shepherds[b, h, 1] - y
             aim = bearing_xy(target[h, 0] - x, target[h, 1] - y)
-            turn = wrap_angle(aim - bearing_xy(off_x, off_y))
-            ahead = length(off_x + speed * dt * course_x, off_y + speed * dt * course_y)
+            turn = wrap_angle(aim - bearing_xy(offset_x, offset_y))
+            ahead = length(offset_x + speed * dt * course_x, offset_y + speed * dt * course_y)
             if abs(turn) > tolerance and ahead < radius:
-                d = length(off_x, off_y)
-                course_x, course_y = _detour(off_x, off_y, d, radius, stride, turn)
+                d = length(offset_x, offset_y)
+                course_x, course_y = _detour(offset_x, offset_y, d, radius, stride, turn)
                 speed = top
             if noise > 0:
                 random_x, random_y = direction_at(key, h)

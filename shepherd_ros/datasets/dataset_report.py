@@ -1,4 +1,4 @@
-"""Report on the recordings that a policy learns from, counted while they are read."""
+"""Report on recordings that a policy learns from, counted while they are read."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _COUNTS = ('bags', 'episodes', 'partial_episodes', 'steps', 'examples')
 
 @dataclass
 class Report:
-    """Numbers of what was read; steps are those of single shepherds."""
+    """Counts of bags, episodes, steps of single shepherds, and examples."""
 
     bags: int = 0
     episodes: int = 0
@@ -35,17 +35,17 @@ class Report:
     )  # share of rays
 
     def drop(self, reason: str, where: str, count: int = 1) -> None:
-        """Count steps that are no example."""
+        """Count steps that are dropped as examples, with the reason and the first place."""
         self.drops[reason] += count
         self.first_drop.setdefault(reason, where)
 
     def refuse(self, reason: str, where: str, count: int = 1) -> None:
-        """Count steps that are not whole."""
+        """Count steps that are incomplete, with the reason and the first place."""
         self.steps += count
         self.drop(reason, where, count)
 
-    def see(self, steps: Steps) -> None:
-        """Count the whole steps of an episode."""
+    def count_episode(self, steps: Steps) -> None:
+        """Count an episode and its complete steps."""
         self.episodes += 1
         self.partial_episodes += steps.partial
         self.steps += len(steps)
@@ -81,7 +81,7 @@ class Report:
         }
 
     def text(self) -> str:
-        """Return the report as a table for people."""
+        """Return the report in lines for a terminal."""
         data = self.to_dict()
         part = f' ({self.partial_episodes} not whole)' if self.partial_episodes else ''
         lines = [f'bags:      {self.bags}', f'episodes:  {self.episodes}{part}']
@@ -102,18 +102,18 @@ class Report:
         return '\n'.join(lines)
 
 
-def _bars(counts: dict[int, int], most: int = 12, width: int = 40) -> list[str]:
-    """Return the lines of a histogram, with neighbours in one bar where there are too many."""
+def _bars(counts: dict[int, int], max_bars: int = 12, width: int = 40) -> list[str]:
+    """Return the lines of a histogram of at most max_bars bars."""
     low, high = min(counts, default=0), max(counts, default=0)
-    wide = -(-(high - low + 1) // most)
+    bar_width = -(-(high - low + 1) // max_bars)
     bars: Counter[int] = Counter()
     for value, count in counts.items():
-        bars[(value - low) // wide] += count
+        bars[(value - low) // bar_width] += count
     longest = max(bars.values(), default=1)
     lines = []
     for k, count in sorted(bars.items()):
-        first = low + k * wide
-        last = min(first + wide - 1, high)
+        first = low + k * bar_width
+        last = min(first + bar_width - 1, high)
         name = f'{first}' if first == last else f'{first}-{last}'
         lines.append(f'{name:>9}  {count:>8}  {"#" * -(-width * count // longest)}')
     return lines

@@ -1,4 +1,4 @@
-"""Recordings as examples: what each shepherd saw, and what it was told to do."""
+"""Recordings as examples: the frames of each shepherd and its command."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class EpisodeExamples:
     wanted: Tensor  # (m, 2) m/s, world frame
 
     def __len__(self) -> int:
-        """Return how many examples there are."""
+        """Return the number of examples."""
         return len(self.rows)
 
     def frames(self) -> Tensor:
@@ -61,52 +61,52 @@ def sources(places: Sequence[Path], labels: str = '') -> list[Source]:
     """
     Return the bags at places, which are bags, folders of bags or data sets.
 
-    labels is the namespace of the commands to learn, empty for those that were driven. Raises
-    ConfigError for what is none of them, or was built with other labels.
+    labels is the namespace of the commands to learn, empty for the executed ones. Raises
+    ConfigError for other places, and for data sets with other labels.
     """
-    found = []
+    result = []
     for place in places:
         if not is_dataset(place):
             bags = bag_folders(place)
-            found += [Source(path.name, partial(bag_steps, path, labels)) for path in bags]
+            result += [Source(path.name, partial(bag_steps, path, labels)) for path in bags]
             continue
-        built = open_dataset(place)
-        if built.labels != labels:
+        dataset = open_dataset(place)
+        if dataset.labels != labels:
             raise ConfigError(
-                f'{place}: its labels are {built.labels!r:.60}, expected {labels!r}; give '
-                f'--labels {built.labels!r:.60}, or build it with --labels {labels!r}'
+                f'{place}: its labels are {dataset.labels!r:.60}, expected {labels!r}; give '
+                f'--labels {dataset.labels!r:.60}, or build it with --labels {labels!r}'
             )
-        for name, part in built.bags():
-            found.append(Source(name, partial(built_steps, built, part)))
-    return found
+        for name, part in dataset.bags():
+            result.append(Source(name, partial(dataset_steps, dataset, part)))
+    return result
 
 
 def bag_steps(path: Path, labels: str, refuse: Refuse) -> Iterator[Steps]:
-    """Yield the whole steps of the episodes of a bag; raises ConfigError."""
+    """Yield the complete steps of each episode of a bag; raises ConfigError."""
     for number, episode in enumerate(iter_episodes(open_bag(path), labels=labels)):
         yield steps_of(episode, path.name, number, refuse)
 
 
-def built_steps(built: Dataset, part: slice, refuse: Refuse) -> Iterator[Steps]:
-    """Yield the steps of the episodes among some runs of a data set, which are all whole."""
-    return built.steps(part)
+def dataset_steps(dataset: Dataset, part: slice, refuse: Refuse) -> Iterator[Steps]:
+    """Yield the steps of each episode among some runs of a data set, which are all complete."""
+    return dataset.steps(part)
 
 
 def stream_steps(
     places: Sequence[Path], report: Report, seed: int | None = None, labels: str = ''
 ) -> Iterator[tuple[Source, Steps]]:
     """
-    Yield the whole steps of each episode and where they are from; raises ConfigError.
+    Yield the complete steps of each episode and their source; raises ConfigError.
 
     One episode is in memory at a time; with a seed, bags come in random order.
     """
-    found = sources(places, labels)
+    shuffled = sources(places, labels)
     if seed is not None:
-        random.Random(seed).shuffle(found)
-    for source in found:
+        random.Random(seed).shuffle(shuffled)
+    for source in shuffled:
         report.bags += 1
         for steps in source.read(report.refuse):
-            report.see(steps)
+            report.count_episode(steps)
             yield source, steps
 
 
@@ -116,32 +116,34 @@ def examples_of(
     """
     Return the examples of an episode, None if there are none.
 
-    Frames go back to the episode's first state and no farther, as in the environment. Where an
-    earlier frame is of a step that is not whole, the example is dropped and counted.
+    Frames go back to the episode's first state and no farther, as in the environment. An example
+    with an earlier frame of an incomplete step is dropped and counted.
     """
     team = steps.n_shepherds
     step = torch.from_numpy(steps.step)
     frame = observation.frames.rows(step, torch.zeros_like(step)).numpy()
     key = steps.step * team + steps.shepherd  # in order
-    asked = frame * team + steps.shepherd[:, None]
-    rows = np.minimum(np.searchsorted(key, asked), max(len(key) - 1, 0))
-    there = (key[rows] == asked).all(axis=1) if len(key) else np.zeros(0, bool)
-    if not there.all():
-        k = int(np.argmin(there))
+    frame_keys = frame * team + steps.shepherd[:, None]
+    rows = np.minimum(np.searchsorted(key, frame_keys), max(len(key) - 1, 0))
+    complete = (key[rows] == frame_keys).all(axis=1) if len(key) else np.zeros(0, bool)
+    if not complete.all():
+        k = int(np.argmin(complete))
         place = f'{steps.where}, step {steps.step[k]}, shepherd_{steps.shepherd[k]}'
-        report.drop('an earlier frame is missing', place, int((~there).sum()))
-    if not there.any():
+        report.drop('an earlier frame is missing', place, int((~complete).sum()))
+    if not complete.any():
         return None
-    report.examples += int(there.sum())
+    report.examples += int(complete.sum())
     return EpisodeExamples(
         torch.from_numpy(steps.lidar),
-        torch.from_numpy(rows[there]),
-        torch.from_numpy(steps.action[there]),
+        torch.from_numpy(rows[complete]),
+        torch.from_numpy(steps.action[complete]),
     )
 
 
-def look_at(places: Sequence[Path], observation: ObservationConfig, labels: str = '') -> Report:
-    """Return what is found at places, and how many examples with such frames."""
+def count_examples(
+    places: Sequence[Path], observation: ObservationConfig, labels: str = ''
+) -> Report:
+    """Return the report on places, with the number of examples of this observation."""
     report = Report()
     for _, steps in stream_steps(places, report, labels=labels):
         examples_of(steps, observation, report)
@@ -152,17 +154,17 @@ def build_dataset(
     places: Sequence[Path], folder: Path, observation: ObservationConfig, labels: str = ''
 ) -> Report:
     """
-    Write the whole steps at places as a data set into a new folder; return what was found.
+    Write the complete steps at places as a data set into a new folder; return the report.
 
-    Any frames can be taken from it later; the report counts examples with those of observation.
-    Raises ConfigError, and leaves no folder then.
+    The data set serves any observation; the report counts the examples of this one. Raises
+    ConfigError, and leaves no folder then.
     """
     report, source = Report(), None
     with DatasetWriter(folder, labels) as writer:
-        for now, steps in stream_steps(places, report, labels=labels):
-            if now is not source:
-                writer.begin_bag(now.name)
-                source = now
+        for current, steps in stream_steps(places, report, labels=labels):
+            if current is not source:
+                writer.begin_bag(current.name)
+                source = current
             writer.add(steps)
             examples_of(steps, observation, report)
         if not writer.rows:

@@ -23,7 +23,7 @@ STEP_SCHEMA = pa.schema(
      ('timestamp', pa.float32()), ('frame_index', _LONG), ('episode_index', _LONG),
      ('index', _LONG), ('task_index', _LONG)]
 )  # fmt: skip
-INDEXED_BY_TASK = {  # what pandas, with which LeRobot reads it, has to be told
+INDEXED_BY_TASK = {  # metadata for pandas, with which LeRobot reads it
     'index_columns': ['task'],
     'column_indexes': [],
     'columns': [
@@ -51,7 +51,7 @@ EPISODE_SCHEMA = pa.schema(
 
 
 def features(layout: ScanLayout) -> dict[str, Any]:
-    """Return what each column is, as LeRobot says it."""
+    """Return the features of LeRobot: dtype, shape and names by column."""
     whole = {name: ('int64', [1], None) for name in STEP_SCHEMA.names[3:]}
     columns = {
         LIDAR: ('float32', list(layout.shape), ['channel', 'ray']),

@@ -1,4 +1,4 @@
-"""Reads the data sets that DatasetWriter writes; whatever is wrong with one is a BagError."""
+"""Reader of the data sets of DatasetWriter; any fault of one is a BagError."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS, ScanLayout, sorted_cha
 from shepherd_ros.sim.limits import MAX_SHEEP, MAX_SHEPHERDS, MAX_STEPS
 
 REBUILD_HINT = 'build it again with `shepherd dataset build`'
-LARGEST_NOTE = 16 << 20  # [bytes] of a JSON file
-LARGEST_RUNS = 1_000_000
-LARGEST_FILE = 4 << 30  # [bytes] of Parquet
-LARGEST_RAYS = 65_536
+MAX_JSON_BYTES = 16 << 20  # [bytes] of a JSON file
+MAX_RUNS = 1_000_000
+MAX_FILE_BYTES = 4 << 30  # [bytes] of Parquet
+MAX_RAYS = 65_536
 LIMITS = {  # lowest and highest number in columns of meta/episodes
     'length': (1, MAX_STEPS), 'data/chunk_index': (0, 10**6), 'data/file_index': (0, 999),
-    'bag_index': (0, LARGEST_RUNS), 'recorded_episode': (0, 2**62),
+    'bag_index': (0, MAX_RUNS), 'recorded_episode': (0, 2**62),
     'n_sheep': (1, MAX_SHEEP), 'n_shepherds': (1, MAX_SHEPHERDS),
     'shepherd': (0, MAX_SHEPHERDS - 1), 'first_step': (0, MAX_STEPS),
 }  # fmt: skip
 
 
 def is_dataset(folder: Path) -> bool:
-    """Return whether a folder seems to be a data set of LeRobot's form."""
+    """Return whether a folder has the metadata of a data set in LeRobot's form."""
     return (folder / INFO).is_file()
 
 
@@ -66,7 +66,7 @@ class Dataset:
         return self.runs['data/chunk_index'] * FILES_PER_CHUNK + self.runs['data/file_index']
 
     def bags(self) -> list[tuple[str, slice]]:
-        """Return name and runs of each bag that it was built from."""
+        """Return name and runs of each bag in the data set."""
         return [(self.names[part.start], part) for part in _parts(self.runs['bag_index'])]
 
     def steps(self, part: slice) -> Iterator[Steps]:
@@ -86,8 +86,8 @@ class Dataset:
         key = (step * MAX_SHEPHERDS + shepherd)[order]
         name = self.names[chosen.start]
         if (np.diff(key) <= 0).any() or shepherd.max() >= row['n_shepherds']:
-            what = f'{name}:{row["recorded_episode"]} has a step twice, or too many shepherds'
-            raise BagError(self.folder / EPISODES_PATH, what, REBUILD_HINT)
+            reason = f'{name}:{row["recorded_episode"]} has a step twice, or too many shepherds'
+            raise BagError(self.folder / EPISODES_PATH, reason, REBUILD_HINT)
         return Steps(
             bag=name,
             episode=row['recorded_episode'],
@@ -104,7 +104,7 @@ class Dataset:
         )
 
     def _files(self, chosen: range) -> Iterator[range]:
-        """Yield those of some runs that are in one file."""
+        """Yield the runs of each file among some."""
         for part in _parts(self.files[chosen.start : chosen.stop]):
             yield range(chosen.start + part.start, chosen.start + part.stop)
 
@@ -127,8 +127,8 @@ class Dataset:
         action = _array(table[ACTION], pa.float32(), (count, 2))
         numbers = [_array(table[name], pa.int64(), (count,)) for name in names[2:]]
         if np.isnan(lidar).any() or not np.isfinite(action).all():
-            what = f'row group {place} has NaN, or an action that is not finite'
-            raise BagError(path, what, REBUILD_HINT)
+            reason = f'row group {place} has NaN, or an action that is not finite'
+            raise BagError(path, reason, REBUILD_HINT)
         if (numbers[0] != k).any() or not np.array_equal(numbers[1], np.arange(count)):
             raise BagError(path, f'row group {place} is not that of episode {k}', REBUILD_HINT)
         return lidar, action
@@ -136,70 +136,70 @@ class Dataset:
 
 def open_dataset(folder: Path) -> Dataset:
     """Return the data set in a folder; raises BagError."""
-    about = _about(folder)
+    meta = _read_meta(folder)
     path = folder / EPISODES_PATH
     with _open(path) as source:
-        if source.metadata.num_rows > LARGEST_RUNS:
-            raise BagError(path, f'it has more than {LARGEST_RUNS} rows', REBUILD_HINT)
+        if source.metadata.num_rows > MAX_RUNS:
+            raise BagError(path, f'it has more than {MAX_RUNS} rows', REBUILD_HINT)
         table = source.read([*NUMBERS, 'bag'], use_threads=False)
         count = np.arange(len(table))
         runs = {name: _array(table[name], pa.int64(), count.shape) for name in NUMBERS}
         bags = [str(name) for name in table['bag'].to_pylist()]
     for name, (low, high) in LIMITS.items():
-        odd = (runs[name] < low) | (runs[name] > high)
-        if odd.any():
-            value = runs[name][odd][0]
+        invalid = (runs[name] < low) | (runs[name] > high)
+        if invalid.any():
+            value = runs[name][invalid][0]
             raise BagError(path, f'{name} is {value}, expected {low} to {high}', REBUILD_HINT)
     ends = np.cumsum(runs['length'])
-    lidar = about['range_max'], about['layout']
-    found = Dataset(folder, about['dt'], *lidar, about['labels'], runs, bags)
+    lidar = meta['range_max'], meta['layout']
+    dataset = Dataset(folder, meta['dt'], *lidar, meta['labels'], runs, bags)
     if not (
-        (np.diff(found.files) >= 0).all()
+        (np.diff(dataset.files) >= 0).all()
         and np.array_equal(runs['episode_index'], count)
         and np.array_equal(runs['dataset_to_index'], ends)
         and np.array_equal(runs['dataset_from_index'], ends - runs['length'])
     ):
         raise BagError(path, 'its episodes are not in order, or some are missing', REBUILD_HINT)
-    return found
+    return dataset
 
 
-def _about(folder: Path) -> dict[str, Any]:
-    """Return what meta/shepherd_ros.json says; raises BagError."""
+def _read_meta(folder: Path) -> dict[str, Any]:
+    """Return the content of meta/shepherd_ros.json, with the layout; raises BagError."""
     path = folder / ABOUT
     if not path.is_file():
         raise BagError(folder, f'{ABOUT} is not there, so it is no data set of ours', REBUILD_HINT)
     try:
         with path.open('rb') as file:
-            about = json.loads(file.read(LARGEST_NOTE).decode())
+            meta = json.loads(file.read(MAX_JSON_BYTES).decode())
     except (OSError, ValueError, RecursionError) as error:
         raise BagError(path, f'it cannot be read ({error!r:.200})', REBUILD_HINT) from error
-    if not isinstance(about, dict) or about.get('format') != DATASET_FORMAT:
+    if not isinstance(meta, dict) or meta.get('format') != DATASET_FORMAT:
         raise BagError(path, f'it does not begin with format {DATASET_FORMAT!r}', REBUILD_HINT)
-    dt, rays, labels = (about.get(name) for name in ('dt', 'n_rays', 'labels'))
+    dt, rays, labels = (meta.get(name) for name in ('dt', 'n_rays', 'labels'))
     if not (isinstance(dt, float) and 0 <= dt <= 10 and isinstance(labels, str)):
         raise BagError(path, f'dt is {dt!r:.40} s and labels {labels!r:.40}', REBUILD_HINT)
-    range_max = about.setdefault('range_max', 0.0)
+    range_max = meta.setdefault('range_max', 0.0)
     if not (isinstance(range_max, float) and 0 <= range_max <= 1e6):
         raise BagError(path, f'range_max is {range_max!r:.40} m', REBUILD_HINT)
-    if not (isinstance(rays, int) and 0 <= rays <= LARGEST_RAYS):
-        raise BagError(path, f'n_rays is {rays!r:.40}, expected 0 to {LARGEST_RAYS}', REBUILD_HINT)
-    channels = about.get('channels', list(PAPER_CHANNELS))
-    words = isinstance(channels, list) and all(isinstance(name, str) for name in channels)
-    if not words or channels != list(sorted_channels(channels)):
+    if not (isinstance(rays, int) and 0 <= rays <= MAX_RAYS):
+        raise BagError(path, f'n_rays is {rays!r:.40}, expected 0 to {MAX_RAYS}', REBUILD_HINT)
+    channels = meta.get('channels', list(PAPER_CHANNELS))
+    valid = isinstance(channels, list) and all(isinstance(name, str) for name in channels)
+    if not valid or channels != list(sorted_channels(channels)):
         raise BagError(
             path, f'channels are {channels!r:.80}, expected names in order', REBUILD_HINT
         )
-    return about | {'layout': ScanLayout(tuple(channels), rays)}
+    return meta | {'layout': ScanLayout(tuple(channels), rays)}
 
 
 @contextmanager
 def _open(path: Path) -> Iterator[Any]:
-    """Lend a Parquet file; whatever Arrow says of it becomes a BagError."""
+    """Yield an open Parquet file; any error of Arrow becomes a BagError."""
     if not path.is_file():
         raise BagError(path, 'it is not there', REBUILD_HINT)
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise BagError(path, f'it has more than {LARGEST_FILE} bytes', REBUILD_HINT)
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise BagError(path, f'it has more than {MAX_FILE_BYTES} bytes', REBUILD_HINT)
         with parquet.ParquetFile(
             path,
             pre_buffer=False,
@@ -215,7 +215,7 @@ def _open(path: Path) -> Iterator[Any]:
 
 
 def _array(column: Any, kind: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Return a column of nested lists as an array; whatever does not fit, pyarrow refuses."""
+    """Return a column of nested lists as an array; pyarrow raises where the shape differs."""
     for size in reversed(shape[1:]):
         kind = pa.list_(kind, size)
     values = column.combine_chunks().cast(kind)

@@ -1,8 +1,8 @@
 """
-Writes whole steps as a data set in Parquet, with the folders and columns of LeRobot 3.0.
+Writer of complete steps as a data set in Parquet, with the folders and columns of LeRobot 3.0.
 
-A row is a step of one shepherd, a LeRobot episode a run of steps without a hole. What LeRobot has
-no place for is in columns of our own in meta/episodes, and in meta/shepherd_ros.json.
+A row is a step of one shepherd, a LeRobot episode a run of steps without a hole. Values that
+LeRobot has no place for are in further columns of meta/episodes, and in meta/shepherd_ros.json.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS, ScanLayout
 
 
 class DatasetWriter:
-    """A data set that is being written; it appears under its name when it is whole."""
+    """A data set that is being written; it gets its name when it is complete."""
 
     def __init__(self, folder: Path, labels: str = '', file_size: int = FILE_SIZE << 20) -> None:
         """
-        Make the folder; raises BagError if it is there.
+        Create the folder; raises BagError if it exists.
 
-        labels is the namespace of the commands, file_size [bytes] fills a file.
+        labels is the namespace of the commands, file_size [bytes] the size of a full file.
         """
         if folder.exists():
             raise BagError(folder, 'it exists already', 'choose another folder or remove this one')
@@ -62,7 +62,7 @@ class DatasetWriter:
         self._bag = ''
         self._in_file = 0  # [bytes]
         self._data: Any = None
-        self._kept: list[dict[str, Any]] = []  # of meta/episodes, not written yet
+        self._pending: list[dict[str, Any]] = []  # of meta/episodes, not written yet
         self._ranges, self._actions = RunningStats(len(PAPER_CHANNELS)), RunningStats(2)
         try:
             shutil.rmtree(self.part, ignore_errors=True)
@@ -83,7 +83,7 @@ class DatasetWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Remove what is not finished."""
+        """Remove an unfinished data set."""
         if self.part.exists():
             for writer in (self._data, self._episodes):
                 if writer is not None:
@@ -114,13 +114,13 @@ class DatasetWriter:
         try:
             for chosen in runs(steps):
                 self._add_run(steps, chosen)
-            if len(self._kept) >= FILES_PER_CHUNK:
+            if len(self._pending) >= FILES_PER_CHUNK:
                 self._flush()
         except OSError as error:
             raise self._unwritable(error) from error
 
     def close(self, report: Mapping[str, Any]) -> None:
-        """Finish all files and give the folder its name; raises BagError."""
+        """Finish all files and rename the folder; raises BagError."""
         try:
             self._flush()
             self._episodes.close()
@@ -155,8 +155,8 @@ class DatasetWriter:
             steps.episode, steps.seed, steps.n_sheep, steps.n_shepherds,
             int(steps.shepherd[first]), int(steps.step[first]),
         )  # fmt: skip
-        about = dict(zip(NUMBERS, row, strict=True))
-        self._kept.append(about | {'tasks': [TASK_TEXT], 'bag': self._bag})
+        numbers = dict(zip(NUMBERS, row, strict=True))
+        self._pending.append(numbers | {'tasks': [TASK_TEXT], 'bag': self._bag})
         self.runs, self.rows = self.runs + 1, self.rows + count
 
     def _table(self, steps: Steps, chosen: np.ndarray) -> pa.Table:
@@ -178,10 +178,10 @@ class DatasetWriter:
         return pa.table(list(columns), schema=STEP_SCHEMA)
 
     def _flush(self) -> None:
-        """Write the rows of meta/episodes that are kept."""
-        if self._kept:
-            self._episodes.write_table(pa.Table.from_pylist(self._kept, schema=EPISODE_SCHEMA))
-            self._kept.clear()
+        """Write the pending rows of meta/episodes."""
+        if self._pending:
+            self._episodes.write_table(pa.Table.from_pylist(self._pending, schema=EPISODE_SCHEMA))
+            self._pending.clear()
 
     def _end_file(self) -> None:
         if self._data is not None:
@@ -189,7 +189,7 @@ class DatasetWriter:
             self._data, self.files = None, self.files + 1
 
     def _write_meta(self, report: Mapping[str, Any]) -> None:
-        """Write what says what is in the data set."""
+        """Write the metadata of the data set."""
         rate = 1 / self.dt if self.dt else 0.0
         info = {
             'codebase_version': 'v3.0',
@@ -206,7 +206,7 @@ class DatasetWriter:
             'video_path': None,
             'features': features(self.layout),
         }
-        about = {
+        meta = {
             'format': DATASET_FORMAT, 'version': __version__, 'dt': self.dt,
             'range_max': self.range_max,
             'n_rays': self.layout.n_rays,
@@ -217,19 +217,19 @@ class DatasetWriter:
         stats: dict[str, Any] = {LIDAR: ranges, ACTION: self._actions.to_dict()}
         for name in (LIDAR, ACTION):
             stats[name]['count'] = [self.rows]
-        for path, content in ((INFO, info), (ABOUT, about), (STATS, stats)):
+        for path, content in ((INFO, info), (ABOUT, meta), (STATS, stats)):
             (self.part / path).write_text(json.dumps(content, indent=1), encoding='utf-8')
         tasks = pa.table({'task_index': pa.array([0], pa.int64()), 'task': [TASK_TEXT]})
         tasks = tasks.replace_schema_metadata({'pandas': json.dumps(INDEXED_BY_TASK)})
         parquet.write_table(tasks, self.part / TASKS)
 
     def _unwritable(self, error: OSError) -> BagError:
-        what = f'it cannot be written ({error.strerror or error})'
-        return BagError(self.folder, what, 'free space or choose another folder')
+        reason = f'it cannot be written ({error.strerror or error})'
+        return BagError(self.folder, reason, 'free space or choose another folder')
 
 
 def runs(steps: Steps) -> Iterator[np.ndarray]:
-    """Yield the indices (k,) of the steps of one shepherd after another, without a hole each."""
+    """Yield the indices (k,) of runs of steps without a hole, shepherd by shepherd."""
     for shepherd in np.unique(steps.shepherd):
-        (mine,) = np.nonzero(steps.shepherd == shepherd)
-        yield from np.split(mine, np.nonzero(np.diff(steps.step[mine]) != 1)[0] + 1)
+        (own,) = np.nonzero(steps.shepherd == shepherd)
+        yield from np.split(own, np.nonzero(np.diff(steps.step[own]) != 1)[0] + 1)

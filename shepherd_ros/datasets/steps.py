@@ -1,7 +1,7 @@
 """
-Whole steps of a recorded episode: the scan and the command of each shepherd.
+Complete steps of a recorded episode: the scan and the command of each shepherd.
 
-All that learns from recordings starts here, whether from bags or from what was built of them.
+Learning from recordings starts here, from bags and from data sets built of them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Refuse = Callable[[str, str, int], None]  # reason, place of the first, steps of
 
 @dataclass(frozen=True)
 class Steps:
-    """The whole steps (n) of an episode, by step and then by shepherd."""
+    """The complete steps (n) of an episode, by step and then by shepherd."""
 
     bag: str  # name of the bag
     episode: int  # which of the bag, counted from 0
@@ -39,7 +39,7 @@ class Steps:
     partial: bool = False  # states of the episode were not recorded
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of steps."""
         return len(self.step)
 
     @property
@@ -55,29 +55,29 @@ class Steps:
 
 def steps_of(episode: RecordedEpisode, bag: str, number: int, refuse: Refuse) -> Steps:
     """
-    Return the steps of an episode that have all: poses, scan and command of a shepherd.
+    Return the steps of an episode that have poses, scan and command of a shepherd.
 
-    The others are refused by name. Nothing follows on the last state, so it is no step. Raises
-    ConfigError where the lidar changes within the episode.
+    refuse(reason, place, steps) is called for the others. The last state has no successor, so it
+    is no step. Raises ConfigError where the lidar changes within the episode.
     """
-    where, team = f'{bag}:{number}', episode.n_shepherds
-    range_max = _range_max(episode, where)
-    _refuse_holes([frame.step for frame in episode.frames], team, where, refuse)
-    kept: list[tuple[int, int, Ranges, NDArray[np.float32]]] = []
+    place, team = f'{bag}:{number}', episode.n_shepherds
+    range_max = _range_max(episode, place)
+    _refuse_holes([frame.step for frame in episode.frames], team, place, refuse)
+    steps: list[tuple[int, int, Ranges, NDArray[np.float32]]] = []
     for frame in episode.frames[:-1]:
         for h in range(team):
             scan, command = frame.scans[h], _single(frame.commands[h])
-            reason = _lack(scan, command)
+            reason = _fault(scan, command)
             if reason or scan is None or command is None:
-                refuse(reason, f'{where}, step {frame.step}, shepherd_{h}', 1)
+                refuse(reason, f'{place}, step {frame.step}, shepherd_{h}', 1)
                 continue
-            if kept and scan.shape != kept[0][2].shape:
+            if steps and scan.shape != steps[0][2].shape:
                 raise ConfigError(
-                    f'{where}, step {frame.step}, shepherd_{h}: a scan of {scan.shape[-1]} rays, '
-                    f'expected {kept[0][2].shape[-1]} as before; record one lidar at a time'
+                    f'{place}, step {frame.step}, shepherd_{h}: a scan of {scan.shape[-1]} rays, '
+                    f'expected {steps[0][2].shape[-1]} as before; record one lidar at a time'
                 )
-            kept.append((frame.step, h, scan, command))
-    nothing = np.zeros((0, len(episode.channels), 0), np.float32)
+            steps.append((frame.step, h, scan, command))
+    empty = np.zeros((0, len(episode.channels), 0), np.float32)
     return Steps(
         bag=bag,
         episode=number,
@@ -85,35 +85,35 @@ def steps_of(episode: RecordedEpisode, bag: str, number: int, refuse: Refuse) ->
         n_sheep=episode.n_sheep,
         n_shepherds=team,
         dt=episode.dt,
-        step=np.array([row[0] for row in kept], np.int64),
-        shepherd=np.array([row[1] for row in kept], np.int64),
+        step=np.array([row[0] for row in steps], np.int64),
+        shepherd=np.array([row[1] for row in steps], np.int64),
         channels=episode.channels,
         range_max=range_max,
         partial=not episode.whole,
-        lidar=np.stack([row[2] for row in kept]).astype(np.float32) if kept else nothing,
-        action=np.array([row[3] for row in kept], np.float32).reshape(-1, 2),
+        lidar=np.stack([row[2] for row in steps]).astype(np.float32) if steps else empty,
+        action=np.array([row[3] for row in steps], np.float32).reshape(-1, 2),
     )
 
 
-def _range_max(episode: RecordedEpisode, where: str) -> float:
-    """Return the range of the lidar [m], 0 without scans; raise ConfigError for what is none."""
+def _range_max(episode: RecordedEpisode, place: str) -> float:
+    """Return the range of the lidar [m], 0 without scans, or raise ConfigError."""
     lidars = set[tuple[float, float]]().union(*(frame.lidars for frame in episode.frames))
     for _, angle_min in lidars:
         if angle_min:
-            raise ConfigError(f'{where}: scans have angle_min {angle_min} rad, expected 0')
+            raise ConfigError(f'{place}: scans have angle_min {angle_min} rad, expected 0')
     if len(lidars) > 1:
         ranges = sorted(range_max for range_max, _ in lidars)
-        raise ConfigError(f'{where}: scans have range_max {ranges} m, expected one lidar')
+        raise ConfigError(f'{place}: scans have range_max {ranges} m, expected one lidar')
     return next(iter(lidars), (0.0, 0.0))[0]
 
 
 def _single(command: Floats | None) -> NDArray[np.float32] | None:
-    """Return a command (2,) m/s in single precision, as all that learns reads it."""
+    """Return a command (2,) m/s in single precision, None without one."""
     with np.errstate(over='ignore'):
         return None if command is None else command.astype(np.float32)
 
 
-def _lack(scan: Ranges | None, command: NDArray[np.float32] | None) -> str:
+def _fault(scan: Ranges | None, command: NDArray[np.float32] | None) -> str:
     """Return the fault of the step of a shepherd, empty without one."""
     if command is None:
         return 'no command'
@@ -124,9 +124,9 @@ def _lack(scan: Ranges | None, command: NDArray[np.float32] | None) -> str:
     return 'a scan with NaN' if np.isnan(scan).any() else ''
 
 
-def _refuse_holes(steps: list[int], team: int, where: str, refuse: Refuse) -> None:
+def _refuse_holes(steps: list[int], team: int, place: str, refuse: Refuse) -> None:
     """Refuse the steps between the first state and the last that lack poses."""
     missing = steps[-1] - steps[0] + 1 - len(steps) if steps else 0
     if missing:
         first = next(a + 1 for a, b in pairwise(steps) if b > a + 1)
-        refuse('no poses', f'{where}, step {first}', missing * team)
+        refuse('no poses', f'{place}, step {first}', missing * team)

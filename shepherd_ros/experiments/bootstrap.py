@@ -1,4 +1,4 @@
-"""Means with bootstrap intervals: episodes are drawn again, with the same seeds everywhere."""
+"""Means with bootstrap intervals; episodes are resampled with the same seeds everywhere."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ DRAWS = 2000
 CONFIDENCE = 0.95
 
 
-def drawn_again(episodes: int, draws: int = DRAWS, seed: int = 0) -> NDArray[np.int64]:
-    """Return the indices of the episodes of each draw, (draws, episodes); always the same."""
+def resampled(episodes: int, draws: int = DRAWS, seed: int = 0) -> NDArray[np.int64]:
+    """Return the indices of the episodes of each resample, (draws, episodes), by a fixed seed."""
     return np.random.default_rng(seed).integers(0, episodes, (draws, episodes))
 
 
-def drawn_means(values: Array, draws: int = DRAWS) -> Array:
-    """Return means of the episodes (..., E) as drawn again, (..., draws)."""
+def resampled_means(values: Array, draws: int = DRAWS) -> Array:
+    """Return the means of each resample of the episodes (..., E), (..., draws)."""
     count = values.shape[-1]
     weight = np.zeros((draws, count))
-    np.add.at(weight, (np.arange(draws)[:, None], drawn_again(count, draws)), 1 / count)
+    np.add.at(weight, (np.arange(draws)[:, None], resampled(count, draws)), 1 / count)
     return values @ weight.T
 
 
-def percentiles(drawn: Array) -> tuple[Array, Array]:
+def percentiles(resampled_values: Array) -> tuple[Array, Array]:
     """Return the ends of the 95 % interval of a quantity (..., draws), (...) each."""
     tail = 100 * (1 - CONFIDENCE) / 2
-    low, high = np.percentile(drawn, [tail, 100 - tail], axis=-1)
+    low, high = np.percentile(resampled_values, [tail, 100 - tail], axis=-1)
     return low, high
 
 
@@ -36,5 +36,5 @@ def mean_interval(values: Array) -> tuple[Array, Array, Array]:
     mean = values.mean(axis=-1)
     if values.shape[-1] < 2:
         return mean, np.full_like(mean, np.nan), np.full_like(mean, np.nan)
-    low, high = percentiles(drawn_means(values))
+    low, high = percentiles(resampled_means(values))
     return mean, low, high

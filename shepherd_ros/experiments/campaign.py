@@ -1,4 +1,4 @@
-"""Plan and run of the cells that an experiment still lacks."""
+"""Plan and run of the missing cells of experiments."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.experiments.cells import Cell, EPISODES_AT_ONCE, run_into
 from shepherd_ros.experiments.methods import checkpoint_hash, full_name
 from shepherd_ros.experiments.results import cell_key, Results
-from shepherd_ros.experiments.setting import Setting, settled
+from shepherd_ros.experiments.setting import canonical_setting, Setting
 from shepherd_ros.memory import keep_memory
 import torch
 
 
 @dataclass(frozen=True)
 class Task:
-    """A cell, and the key by which its rows are found again."""
+    """A cell and the key of its rows."""
 
     cell: Cell
     key: str
@@ -38,12 +38,12 @@ def seed_batches(seed: int, episodes: int) -> Iterator[tuple[int, int]]:
 def plan(
     settings: Sequence[Setting], controllers: Sequence[str], seed: int, episodes: int
 ) -> list[Task]:
-    """Return every cell, each once; raises ConfigError for what cannot be run."""
+    """Return all cells, each once; raises ConfigError for one that cannot run."""
     if episodes < 1:
         raise ConfigError(f'--episodes is {episodes}: expected at least 1')
     tasks: dict[tuple[str, int], Task] = {}
     for name in dict.fromkeys(map(full_name, controllers)):
-        for setting in dict.fromkeys(map(settled, settings)):
+        for setting in dict.fromkeys(map(canonical_setting, settings)):
             whole = Cell(setting, name, seed, episodes)
             key = cell_key(whole.config(), checkpoint_hash(name), __version__)
             for first, count in seed_batches(seed, episodes):
@@ -53,7 +53,7 @@ def plan(
 
 
 def done_of(tasks: Iterable[Task], rows: Results) -> set[Task]:
-    """Return the tasks of which all rows are there."""
+    """Return the tasks whose rows are all present."""
     return {
         task
         for task in tasks
@@ -65,8 +65,8 @@ def done_of(tasks: Iterable[Task], rows: Results) -> set[Task]:
 
 def codes_of(tasks: Iterable[Task], rows: Results) -> list[str]:
     """Return the commits that made the rows of done cells, ascending."""
-    mine = np.isin(rows.columns['key'], list({task.key for task in tasks}))
-    return sorted(set(rows.columns['code'][mine].tolist()))
+    of_tasks = np.isin(rows.columns['key'], list({task.key for task in tasks}))
+    return sorted(set(rows.columns['code'][of_tasks].tolist()))
 
 
 def shard_of(tasks: Sequence[Task], shard: str) -> list[Task]:
@@ -80,8 +80,8 @@ def shard_of(tasks: Sequence[Task], shard: str) -> list[Task]:
     return list(tasks[index - 1 :: count])
 
 
-def begin_worker() -> None:
-    """Take one thread, and end at once when the process that started this one was killed."""
+def start_worker() -> None:
+    """Set a worker process up: one thread, and an end with its parent."""
     torch.set_num_threads(1)
     keep_memory()
 
@@ -103,7 +103,7 @@ def run_tasks(
 ) -> None:
     """Run cells in processes of their own, long ones first; on_done(cell) after each."""
     longest = sorted(tasks, key=lambda task: -task.cell.cost())
-    with ProcessPoolExecutor(workers, get_context('spawn'), begin_worker) as pool:
+    with ProcessPoolExecutor(workers, get_context('spawn'), start_worker) as pool:
         running: set[Future[Cell]] = {
             pool.submit(run_into, folder, task.cell, task.key, code) for task in longest
         }

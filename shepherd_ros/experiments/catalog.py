@@ -22,7 +22,7 @@ SIZES, TEAMS = (10, 20, 50, 100, 150, 200, 300, 400), (1, 2, 3, 4, 6, 8, 10, 12)
 
 @dataclass(frozen=True)
 class Experiment:
-    """Settings, who drives in them, and what is drawn over which of their fields."""
+    """Settings and controllers to run, and the axes and panels of their figure."""
 
     name: str
     title: str
@@ -34,7 +34,7 @@ class Experiment:
     episodes: int = 100
 
     def with_preset(self, preset: str) -> Experiment:
-        """Return the experiment in another preset than the default one, where it names none."""
+        """Return the experiment with a preset; unchanged if that is an axis or ''."""
 
         def moved(settings: tuple[Setting, ...]) -> tuple[Setting, ...]:
             return tuple(replace(s, preset=preset) for s in settings)
@@ -44,7 +44,7 @@ class Experiment:
         return replace(self, settings=moved(self.settings), quick=moved(self.quick))
 
     def with_changes(self, words: tuple[str, ...]) -> Experiment:
-        """Return the experiment with more changes by path in all its settings."""
+        """Return the experiment with changes PATH=VALUE in all its settings."""
 
         def changed(settings: tuple[Setting, ...]) -> tuple[Setting, ...]:
             return tuple(replace(s, set=(*s.set, *words)) for s in settings)
@@ -52,20 +52,20 @@ class Experiment:
         return replace(self, settings=changed(self.settings), quick=changed(self.quick))
 
 
-def over(base: Setting | None = None, **values: Sequence[Any]) -> tuple[Setting, ...]:
+def setting_grid(base: Setting | None = None, **values: Sequence[Any]) -> tuple[Setting, ...]:
     """Return the settings of a grid, the last field fastest."""
     rows = product(*values.values())
     return tuple(replace(base or Setting(), **dict(zip(values, row, strict=True))) for row in rows)
 
 
 def _sweep(
-    name: str, title: str, panels: tuple[str, ...], quick: dict[str, Sequence[Any]], **more: Any
+    name: str, title: str, panels: tuple[str, ...], quick: dict[str, Sequence[Any]], **axes: Any
 ) -> Experiment:
     """Return an experiment over a grid of fields; quick names the values of its short form."""
-    options = {key: more.pop(key) for key in ('controllers', 'episodes', 'base') if key in more}
+    options = {key: axes.pop(key) for key in ('controllers', 'episodes', 'base') if key in axes}
     base = options.pop('base', None)
-    settings, few = over(base, **more), over(base, **quick)
-    return Experiment(name, title, settings, few, tuple(more), panels, **options)
+    settings, quick_settings = setting_grid(base, **axes), setting_grid(base, **quick)
+    return Experiment(name, title, settings, quick_settings, tuple(axes), panels, **options)
 
 
 def _cases(name: str, title: str, settings: Iterable[Setting], **options: Any) -> Experiment:
@@ -87,15 +87,17 @@ _PRESETS = (
     'table_literal', 'metric_attraction',
 )  # fmt: skip
 _TRANSFER = (
-    *over(Setting(any_dt=True), preset=_PRESETS),
+    *setting_grid(Setting(any_dt=True), preset=_PRESETS),
     # the presets differ for this flock in their time step only
-    *over(Setting(any_dt=True, flock='reynolds'), preset=('default', 'one_second', 'fine_dt')),
+    *setting_grid(
+        Setting(any_dt=True, flock='reynolds'), preset=('default', 'one_second', 'fine_dt')
+    ),
 )
 _LIDAR = (
     Setting(),
-    *over(dropout=(0.1, 0.2, 0.4, 0.6, 0.8)),
+    *setting_grid(dropout=(0.1, 0.2, 0.4, 0.6, 0.8)),
     Setting(cross_occlusion=True),
-    *over(rays=(256, 128, 64, 32, 16)),
+    *setting_grid(rays=(256, 128, 64, 32, 16)),
 )
 
 EXPERIMENTS: dict[str, Experiment] = {
@@ -171,7 +173,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         _cases(
             'starts',
             'Starts that the paper leaves out',
-            over(start=('paper', 'scattered', 'two_groups')),
+            setting_grid(start=('paper', 'scattered', 'two_groups')),
         ),
     )
 }
@@ -184,11 +186,11 @@ GROUPS = {
 
 def experiments(names: Sequence[str]) -> list[Experiment]:
     """Return the experiments of these names or groups, each once; 4 is fig4; or ConfigError."""
-    found: dict[str, Experiment] = {}
+    selected: dict[str, Experiment] = {}
     for name in names:
         full = f'fig{name}' if name.isdigit() else name
         for member in GROUPS.get(full, (full,)):
             if member not in EXPERIMENTS:
                 raise unknown_name('experiment', name, [*EXPERIMENTS, *GROUPS])
-            found[member] = EXPERIMENTS[member]
-    return list(found.values())
+            selected[member] = EXPERIMENTS[member]
+    return list(selected.values())

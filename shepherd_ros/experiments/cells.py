@@ -1,4 +1,4 @@
-"""A cell: one setting, one controller, some seeds; it runs by itself, anywhere, in any order."""
+"""A cell: one setting, one controller, some seeds; cells run anywhere, in any order."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from shepherd_ros import __version__
 from shepherd_ros.experiments.methods import checkpoint_hash, make_method
 from shepherd_ros.experiments.results import cell_key, table_of, value_names, write_rows
 from shepherd_ros.experiments.runner import run_episodes
-from shepherd_ros.experiments.setting import env_config, Setting, settled
+from shepherd_ros.experiments.setting import canonical_setting, env_config, Setting
 
 EPISODES_AT_ONCE = 20  # episodes of a cell that run in one batch: what a kill costs at most
 
@@ -27,7 +27,7 @@ class Cell:
     count: int
 
     def config(self) -> dict[str, Any]:
-        """Return all that decides the episodes but their seeds, as plain data."""
+        """Return environment and controller as plain data."""
         controller = make_method(self.controller, self.setting)
         return {
             'env': env_config(self.setting).to_dict(),
@@ -49,12 +49,12 @@ def cell_file(folder: Path, cell: Cell, key: str) -> Path:
 
 
 def run_cell(cell: Cell, code: str = '') -> pa.Table:
-    """Return the rows of a cell; code names the commit that runs."""
+    """Return the rows of a cell; code is the commit of the package."""
     config = cell.config()
     controller = make_method(cell.controller, cell.setting)
     result = run_episodes(env_config(cell.setting), controller, cell.first, cell.count)
     checkpoint = checkpoint_hash(cell.controller)
-    constants = settled(cell.setting).to_dict() | {
+    constants = canonical_setting(cell.setting).to_dict() | {
         'key': cell_key(config, checkpoint, __version__),
         'controller': cell.controller,
         'config': json.dumps(config),

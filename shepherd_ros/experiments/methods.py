@@ -23,8 +23,8 @@ from torch import Tensor
 POLICY = LearnedController.name
 
 
-def parted(word: str) -> tuple[str, str]:
-    """Return controller and checkpoint, which may be empty, of a word; or raise ConfigError."""
+def split_name(word: str) -> tuple[str, str]:
+    """Return controller and checkpoint, '' without one, of a name; or raise ConfigError."""
     kind, colon, checkpoint = word.partition(':')
     if CONTROLLERS[kind].name != POLICY and colon:
         raise ConfigError(f'controller is {word!r}: expected a checkpoint only after policy:')
@@ -34,8 +34,8 @@ def parted(word: str) -> tuple[str, str]:
 
 
 def full_name(word: str) -> str:
-    """Return the word with its checkpoint: policy is policy:imitation; or raise ConfigError."""
-    kind, checkpoint = parted(word)
+    """Return a name with its checkpoint: policy is policy:imitation; or raise ConfigError."""
+    kind, checkpoint = split_name(word)
     if kind != POLICY:
         return kind
     return f'{POLICY}:{checkpoint or LearnedConfig().checkpoint}'
@@ -59,7 +59,7 @@ def kind_of(name: str) -> type[Controller]:
 
 
 def sorted_methods(names: list[str]) -> list[str]:
-    """Return methods as pictures show them: policies, the paper's baselines, the others."""
+    """Return methods in the order of pictures: policies, the paper's baselines, the others."""
     return sorted(names, key=lambda n: (kind_of(n).order, n))
 
 
@@ -70,12 +70,12 @@ def checkpoint_hash(name: str) -> str:
 
 
 def loaded(checkpoint: str) -> Policy:
-    """Return the policy of a checkpoint; whoever asks for it gets the same one."""
+    """Return the policy of a checkpoint, the same object for each call."""
     return _read(checkpoint, _written(checkpoint))[0]
 
 
 def _written(checkpoint: str) -> int:
-    """Return when a checkpoint was written [ns]."""
+    """Return the time of modification of a checkpoint [ns]."""
     return checkpoint_file(checkpoint).stat().st_mtime_ns
 
 
@@ -87,7 +87,7 @@ def _read(checkpoint: str, written: int) -> tuple[Policy, str]:
 
 
 def how_made(name: str) -> str:
-    """Return the command that trained a policy, as its checkpoint says."""
+    """Return the command that trained a policy, from its checkpoint."""
     return str(_record(name).get('command', 'the checkpoint does not say'))
 
 
@@ -99,21 +99,21 @@ def training_of(name: str) -> dict[str, Any]:
 
 
 def _record(name: str) -> dict[str, Any]:
-    """Return what the checkpoint of a policy says about its making."""
+    """Return the provenance of a policy from its checkpoint."""
     return read_checkpoint_metadata(checkpoint_file(checkpoint_of(name)))[1]
 
 
 class FaultyLidarController(LearnedController):
-    """A policy that looks through a lidar with faults, or with fewer rays than it knows."""
+    """A policy with a faulty lidar, or with one of fewer rays than in its training."""
 
     lidar: LidarConfig
 
     def read_ranges(self, state: WorldState) -> Tensor:
-        """Return ranges (..., H, C, R) m; each of fewer rays stands for its neighbours too."""
-        wanted = self.policy.config.lidar.n_rays
+        """Return ranges (..., H, C, R) m, with fewer rays repeated for their neighbours."""
+        n_rays = self.policy.config.lidar.n_rays
         ranges = scan(state, self.lidar)
-        return ranges.repeat_interleave(wanted // self.lidar.n_rays, dim=-1).roll(
-            -(wanted // self.lidar.n_rays // 2), dims=-1
+        return ranges.repeat_interleave(n_rays // self.lidar.n_rays, dim=-1).roll(
+            -(n_rays // self.lidar.n_rays // 2), dims=-1
         )
 
 

@@ -1,4 +1,4 @@
-"""Rows of results: one episode each, as Parquet that says everything about itself."""
+"""Rows of results, one for each episode, as Parquet with their configuration."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ def value_names() -> tuple[str, ...]:
 
 
 def schema() -> pa.Schema:
-    """Return the columns of rows."""
+    """Return the schema of the rows."""
     return pa.schema(
         [
-            ('key', pa.string()),  # cell_key() of what decides the episodes but their seeds
+            ('key', pa.string()),  # cell_key() of environment, controller and version
             ('controller', pa.string()),
             *(
                 (f.name, ARROW_TYPES[type(f.default)])
@@ -53,25 +53,25 @@ def schema() -> pa.Schema:
 
 def cell_key(config: Mapping[str, Any], checkpoint: str, version: str) -> str:
     """
-    Return the hash by which rows are found again, or raise ConfigError.
+    Return the hash that identifies the rows of a cell, or raise ConfigError.
 
-    config is the environment and the controller, whole. Only what differs from the defaults
-    counts: an option that comes later changes no key.
+    config is the complete environment and controller. Only values that differ from the defaults
+    count, so that a new option changes no key.
     """
     options = dict(mapping('controller', config.get('controller')))
     name = str(options.pop('name', ''))
     kind = CONTROLLERS[name.partition(':')[0]].config_type
-    decided = {
+    changes = {
         'env': EnvConfig.from_dict(mapping('env', config.get('env'))).changes(),
         'controller': {'name': name, **kind.from_dict(options).changes()},
     }
-    text = json.dumps([decided, checkpoint, version], sort_keys=True)
+    text = json.dumps([changes, checkpoint, version], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 @cache
 def _stored_key(key: str, config: str, checkpoint: str, version: str) -> str:
-    """Return the key of a stored row; the one it has if its configuration is not known here."""
+    """Return the key of a stored row; the stored one if its configuration is not known here."""
     try:
         return cell_key(json.loads(config), checkpoint, version)
     except ConfigError:
@@ -89,32 +89,32 @@ def table_of(constants: Mapping[str, Any], columns: Mapping[str, Sequence[Any]])
 
 
 def write_rows(path: Path, table: pa.Table) -> None:
-    """Write rows beside and move them into place, so that a reader never sees half of them."""
+    """Write rows under another name and rename the file, so that a reader never sees a part."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f'.{path.name}.part')
-    parquet.write_table(table, beside, compression='zstd')
-    beside.replace(path)
+    temporary = path.with_name(f'.{path.name}.part')
+    parquet.write_table(table, temporary, compression='zstd')
+    temporary.replace(path)
 
 
 def files_of(paths: Sequence[Path]) -> list[Path]:
-    """Return the Parquet files that are named or lie in folders, or raise ConfigError."""
-    found: list[Path] = []
+    """Return the Parquet files among paths and in folders, or raise ConfigError."""
+    files: list[Path] = []
     for path in paths:
         if not path.exists():
             raise ConfigError(f'{path} is not there: expected rows as shepherd evaluate writes')
         inside = sorted(path.rglob('*.parquet')) if path.is_dir() else [path]
         if not inside:
             raise ConfigError(f'{path} has no Parquet files: run shepherd evaluate first')
-        found += inside
-    return found
+        files += inside
+    return files
 
 
 def read_table(path: Path) -> pa.Table:
     """
     Return the rows of one file, or raise ConfigError if it is not one of ours.
 
-    An option of the setting that it does not have has its default, a metric is NaN, and columns
-    that are not known are left out. Keys are those of this version.
+    A missing option of the setting gets its default, a missing metric NaN; unknown columns are
+    left out. Keys are those of this version.
     """
     try:
         table = parquet.read_table(path)
@@ -126,16 +126,16 @@ def read_table(path: Path) -> pa.Table:
             f'{path} is no table of episodes: expected what shepherd evaluate writes'
         )
     defaults = Setting().to_dict() | dict.fromkeys(value_names(), math.nan)
-    there = dict(zip(table.schema.names, table.schema.types, strict=True))
+    types = dict(zip(table.schema.names, table.schema.types, strict=True))
     arrays = []
     for f in schema():
-        if there.get(f.name, f.type if f.name in defaults else None) != f.type:
+        if types.get(f.name, f.type if f.name in defaults else None) != f.type:
             raise ConfigError(
-                f'{path} has other columns: {f.name} is {there.get(f.name, "not there")}, '
+                f'{path} has other columns: {f.name} is {types.get(f.name, "not there")}, '
                 f'expected {f.type}; run shepherd evaluate again'
             )
-        missing = [] if f.name in there else [defaults[f.name]] * len(table)
-        arrays.append(table.column(f.name) if f.name in there else pa.array(missing, f.type))
+        missing = [] if f.name in types else [defaults[f.name]] * len(table)
+        arrays.append(table.column(f.name) if f.name in types else pa.array(missing, f.type))
     identity = ('key', 'config', 'checkpoint_sha256', 'version')
     rows = zip(*(table.column(name).to_pylist() for name in identity), strict=True)
     arrays[0] = pa.array([_stored_key(*row) for row in rows], pa.string())
@@ -146,7 +146,7 @@ class Results:
     """Episodes of many cells, as columns."""
 
     def __init__(self, table: pa.Table) -> None:
-        """Keep each episode once: with the same key and seed it is the same."""
+        """Keep one row for each key and seed."""
         key, seed = (table.column(name).to_numpy() for name in ('key', 'seed'))
         order = np.lexsort((seed, key))
         first = np.ones(len(order), bool)
@@ -167,30 +167,30 @@ class Results:
         return mask
 
     def in_environment(self, environment: EnvConfig) -> np.ndarray:
-        """Return the mask of the rows of this environment, whatever its length; (rows,) bool."""
+        """Return the mask of the rows of this environment, with any length; (rows,) bool."""
         return np.isin(self.columns['key'], self._keys.get(_timeless(environment), []))
 
     @cached_property
     def _keys(self) -> dict[EnvConfig, list[str]]:
         """Keys by environment, without its number of steps."""
         _, first = np.unique(self.columns['key'], return_index=True)
-        found: dict[EnvConfig, list[str]] = {}
+        keys: dict[EnvConfig, list[str]] = {}
         for row in self.table.select(['key', 'config']).take(pa.array(first)).to_pylist():
             try:
                 env = mapping('env', json.loads(row['config']).get('env'))
                 environment = _timeless(EnvConfig.from_dict(env))
             except ConfigError:  # of something that is not known here
                 continue
-            found.setdefault(environment, []).append(row['key'])
-        return found
+            keys.setdefault(environment, []).append(row['key'])
+        return keys
 
     @cached_property
     def seeds(self) -> dict[str, set[int]]:
         """Seeds of the episodes by key."""
-        found: dict[str, set[int]] = {}
+        seeds: dict[str, set[int]] = {}
         for key, seed in zip(self.columns['key'], self.columns['seed'], strict=True):
-            found.setdefault(key, set()).add(int(seed))
-        return found
+            seeds.setdefault(key, set()).add(int(seed))
+        return seeds
 
     def distinct(self, name: str) -> list[Any]:
         """Return the values of a column, ascending."""
@@ -204,7 +204,7 @@ def _timeless(environment: EnvConfig) -> EnvConfig:
 
 
 def results_in(folder: Path) -> Results:
-    """Return the rows of a folder, which may have none yet; or raise ConfigError."""
+    """Return the rows of a folder, empty without files; or raise ConfigError."""
     paths = sorted(folder.rglob('*.parquet'))
     return read_results(paths) if paths else Results(schema().empty_table())
 

@@ -1,4 +1,4 @@
-"""Whole episodes of a controller, as many worlds at a time as fit."""
+"""Runner of whole episodes of a controller, all worlds in one batch."""
 
 from __future__ import annotations
 

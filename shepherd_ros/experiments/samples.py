@@ -1,4 +1,4 @@
-"""The episodes of one experiment among many rows, in the order of its settings."""
+"""Samples of one experiment: its episodes among many rows, in the order of its settings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,12 @@ from shepherd_ros.experiments.bootstrap import Array
 from shepherd_ros.experiments.catalog import Experiment, QUICK_STEPS
 from shepherd_ros.experiments.methods import sorted_methods
 from shepherd_ros.experiments.results import Results, value_names
-from shepherd_ros.experiments.setting import describe_setting, env_config, Setting, settled
+from shepherd_ros.experiments.setting import (
+    canonical_setting,
+    describe_setting,
+    env_config,
+    Setting,
+)
 
 FLOOR_METHODS = ('idle', 'random')
 
@@ -26,7 +31,7 @@ class Samples:
     seeds: tuple[int, ...]  # that all cells have, E of them
     steps: int
     values: dict[tuple[str, str], Array] = field(repr=False)  # controller, metric -> (P, E)
-    left_out: tuple[str, ...] = ()  # controllers of which too little is there
+    left_out: tuple[str, ...] = ()  # controllers with too few episodes
 
     @property
     def controllers(self) -> list[str]:
@@ -40,12 +45,12 @@ class Samples:
 
     @property
     def notes(self) -> list[str]:
-        """Return a line for each controller of which too little is there."""
+        """Return a line for each controller with too few episodes."""
         text = f'{self.experiment.name} is without {{}}: too few of its episodes are there'
         return [text.format(name) for name in self.left_out]
 
     def axis(self, name: str) -> list[Any]:
-        """Return the values of a field of the settings, or what `case` each one is."""
+        """Return the values of a field of the settings; for `case`, their descriptions."""
         return [describe_setting(s) if name == 'case' else getattr(s, name) for s in self.settings]
 
 
@@ -56,11 +61,11 @@ def samples_of(
     Return the episodes of an experiment, or raise ConfigError if they do not fit together.
 
     None: rows of fewer than `least` of its settings. A controller that lacks a setting has NaN
-    there; one that has less than half of the episodes that another has (as many from each of its
-    cells), or lacks any if only what is whole is wanted, is left out, and named.
+    there; one with less than half of the episodes of another (as many from each of its cells), or
+    with `whole` one that lacks any, is left out, and named.
     """
     cells: dict[tuple[str, int], np.ndarray] = {}  # controller, setting -> indices of rows
-    settings = list(dict.fromkeys(map(settled, experiment.settings)))
+    settings = list(dict.fromkeys(map(canonical_setting, experiment.settings)))
     for place, setting in enumerate(settings):
         # two settings can be the same world: a preset, and what it changes
         mask = rows.in_environment(env_config(setting))
@@ -72,8 +77,8 @@ def samples_of(
     for (name, _), index in cells.items():
         sizes.setdefault(name, []).append(len(index))
     count = {name: len(episodes) * min(episodes) for name, episodes in sizes.items()}
-    most = max(count.values(), default=0)
-    cells = {key: index for key, index in cells.items() if 2 * count[key[0]] >= most}
+    largest = max(count.values(), default=0)
+    cells = {key: index for key, index in cells.items() if 2 * count[key[0]] >= largest}
     if whole:
         cells = _of_whole(cells, rows, experiment, settings)
     if len({place for _, place in cells}) < least:
@@ -95,9 +100,9 @@ def samples_of(
         chosen = chosen[np.argsort(rows.columns['seed'][chosen])]
         for metric in value_names():
             values[name, metric][present.index(place)] = rows.columns[metric][chosen]
-    out = tuple(sorted_methods(list(count.keys() - {name for name, _ in cells})))
-    there = tuple(settings[p] for p in present)
-    return Samples(experiment, there, tuple(seeds), steps, values, out)
+    left_out = tuple(sorted_methods(list(count.keys() - {name for name, _ in cells})))
+    present_settings = tuple(settings[p] for p in present)
+    return Samples(experiment, present_settings, tuple(seeds), steps, values, left_out)
 
 
 def _of_whole(
@@ -107,31 +112,35 @@ def _of_whole(
     settings: list[Setting],
 ) -> dict[tuple[str, int], Array]:
     """
-    Return the cells of those controllers of which all is there.
+    Return the cells of the complete controllers.
 
-    That is all settings, or all of the short form, with as many seeds as any has in all of them.
+    Those have all settings, or all of the short form, with the largest number of common seeds.
     """
-    used = np.concatenate([*cells.values(), []]).astype(int)
-    short = set(rows.columns['steps'][used].tolist()) == {QUICK_STEPS}
-    needed = [settings.index(settled(s)) for s in (experiment.quick if short else settings)]
+    rows_used = np.concatenate([*cells.values(), []]).astype(int)
+    short = set(rows.columns['steps'][rows_used].tolist()) == {QUICK_STEPS}
+    needed = [
+        settings.index(canonical_setting(s)) for s in (experiment.quick if short else settings)
+    ]
     seeds = {
         name: set.intersection(
             *(set(rows.columns['seed'][cells.get((name, p), [])].tolist()) for p in needed)
         )
         for name in {name for name, _ in cells}
     }
-    most = max(map(len, seeds.values()), default=0)
-    return {key: index for key, index in cells.items() if most and len(seeds[key[0]]) == most}
+    largest = max(map(len, seeds.values()), default=0)
+    return {
+        key: index for key, index in cells.items() if largest and len(seeds[key[0]]) == largest
+    }
 
 
 def _common(rows: Results, cells: dict[tuple[str, int], np.ndarray], title: str) -> int:
     """Return the steps of all episodes; ConfigError if results of two kinds are mixed."""
-    used = np.concatenate(list(cells.values()))
+    rows_used = np.concatenate(list(cells.values()))
     for name in ('steps', 'version'):
-        found = sorted(set(rows.columns[name][used].tolist()))
-        if len(found) > 1:
+        values = sorted(set(rows.columns[name][rows_used].tolist()))
+        if len(values) > 1:
             raise ConfigError(
-                f'{title}: rows with {name} {" and ".join(map(str, found))} are mixed: expected '
+                f'{title}: rows with {name} {" and ".join(map(str, values))} are mixed: expected '
                 'those of one evaluation; give fewer folders'
             )
     for name, place in cells:
@@ -141,15 +150,15 @@ def _common(rows: Results, cells: dict[tuple[str, int], np.ndarray], title: str)
                 f'{title}: {name} has rows of {len(keys)} configurations or checkpoints for one '
                 f'setting ({", ".join(keys)}): remove those that are old'
             )
-    return int(rows.columns['steps'][used][0])
+    return int(rows.columns['steps'][rows_used][0])
 
 
 def means(samples: Samples, names: Sequence[str]) -> list[tuple[str, Setting, dict[str, Array]]]:
     """Return the episodes (E,) of some metrics for each controller and setting that has them."""
-    found = []
+    cells = []
     for place, setting in enumerate(samples.settings):
         for controller in samples.controllers:
             values = {name: samples.values[controller, name][place] for name in names}
             if not np.isnan(next(iter(values.values()))).any():
-                found.append((controller, setting, values))
-    return found
+                cells.append((controller, setting, values))
+    return cells

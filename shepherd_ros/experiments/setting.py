@@ -1,9 +1,9 @@
 """
-A setting of an experiment: everything that decides its episodes but the controller.
+A setting of an experiment: its environment, without the controller.
 
-It is a base (a preset, a flock model, a start) and what is changed of its environment by path,
-such as `world.dt=0.2`; what is often changed has a short name. Command lines are made from it, so
-that torch is not imported before an environment is.
+It is a base (a preset, a flock model, a start) and changes of its environment by path, such as
+`world.dt=0.2`; frequent ones have a short name. Command lines are made of it, so torch is imported
+only with an environment.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def named(path: str, default: Any, doc: str) -> Any:
 
 @dataclass(frozen=True)
 class Setting(Config):
-    """A world of section 5 of the paper, with what an experiment may change of it."""
+    """A world of section 5 of the paper, with the changes of an experiment."""
 
     sheep: int = named('world.n_sheep', 100, 'sheep in the flock')
     shepherds: int = named('world.n_shepherds', 3, 'shepherds, each with its lidar')
@@ -70,7 +70,7 @@ _TEXTS = {
 
 def describe_setting(setting: Setting) -> str:
     """Return the differences of a setting from the default one, in words."""
-    base = settled(Setting(preset=setting.preset, flock=setting.flock))
+    base = canonical_setting(Setting(preset=setting.preset, flock=setting.flock))
     plain = Setting()
     words = [
         text.format(getattr(setting, name))
@@ -80,16 +80,16 @@ def describe_setting(setting: Setting) -> str:
     return ', '.join([*words, *setting.set]) or 'default setting'
 
 
-def settled(setting: Setting) -> Setting:
+def canonical_setting(setting: Setting) -> Setting:
     """Return the setting with short names as its environment has them, or raise ConfigError."""
     config = env_config(setting)
     values = config.values()
     paths = _paths(config)
-    found = {name: values[path] for name, path in paths.items()}
+    short = {name: values[path] for name, path in paths.items()}
     # a default can stand for another value, that of the preset
-    covered = {path for name, path in paths.items() if found[name] != getattr(Setting, name)}
+    covered = {path for name, path in paths.items() if short[name] != getattr(Setting, name)}
     words = tuple(word for word in setting.set if _assignment(word)[0] not in covered)
-    return replace(setting, **found, set=words)
+    return replace(setting, **short, set=words)
 
 
 def env_config(setting: Setting) -> EnvConfig:
@@ -102,8 +102,8 @@ def env_config(setting: Setting) -> EnvConfig:
             'rho_a'
         )
     short = {paths[name]: value for name, value in changes.items() if name in paths}
-    more = dict(map(_assignment, setting.set))
-    return base.with_values(STARTS[setting.start] | short | more)
+    assigned = dict(map(_assignment, setting.set))
+    return base.with_values(STARTS[setting.start] | short | assigned)
 
 
 def changes_of(setting: Setting) -> dict[str, Any]:

@@ -23,7 +23,7 @@ class OneSetting:
 
     @property
     def setting(self) -> Setting:
-        """Return the setting that is asked for, or raise ConfigError."""
+        """Return the setting of the options, or raise ConfigError."""
         return configured(Setting, self.world)
 
 

@@ -13,17 +13,17 @@ from shepherd_ros.sim.metrics import METRICS, shown
 
 
 def number_text(value: float) -> str:
-    """Return a number with three digits."""
+    """Return a number as text with three digits."""
     return f'{value:.0f}' if 100 <= abs(value) < 1e6 else f'{value:.3g}'
 
 
 def interval_text(mean: float, low: float, high: float) -> str:
-    """Return a mean and its interval."""
+    """Return a mean with its interval as text."""
     return f'{number_text(mean)} [{number_text(low)}, {number_text(high)}]'
 
 
 def varying(samples: Samples) -> list[str]:
-    """Return the fields that differ between settings of the experiment."""
+    """Return the fields that differ between settings of the experiment, `sheep` if none does."""
     names = [n for n in SETTING_FIELDS if len({getattr(s, n) for s in samples.settings}) > 1]
     return names or ['sheep']
 
@@ -54,14 +54,14 @@ def grid(samples: Samples, metric: str) -> str:
         )
         for controller, setting, values in means(samples, (metric,))
     }
-    rows = dict.fromkeys((sheep, who) for sheep, who, _ in cells)
+    rows = dict.fromkeys((sheep, method) for sheep, method, _ in cells)
     lines = [
         f'| sheep | controller | {" | ".join(f"M = {m}" for m in teams)} |',
         '|--:|:--|' + '--:|' * len(teams),
     ]
-    for sheep, who in rows:
-        texts = [cells.get((sheep, who, m), '') for m in teams]
-        lines.append(f'| {sheep} | {who} | {" | ".join(texts)} |')
+    for sheep, method in rows:
+        texts = [cells.get((sheep, method, m), '') for m in teams]
+        lines.append(f'| {sheep} | {method} | {" | ".join(texts)} |')
     return '\n'.join(lines) + '\n'
 
 

@@ -17,7 +17,7 @@ from torch import Tensor
 HALF_SIDE = 25.0  # [m] half the side of the plane, as in the paper
 GRID_POINTS = 41  # along each side
 N_SHEEP = 10
-HIGH_VALUE = 0.8  # a value is high if it lies so far up between the lowest and the highest
+HIGH_VALUE = 0.8  # threshold of high values, from the lowest (0) to the highest (1)
 BEHIND_COSINE = (
     0.5  # cosine of 60 degrees: the best place is behind the flock if it is within them
 )
@@ -25,7 +25,7 @@ BEHIND_COSINE = (
 
 @dataclass(frozen=True)
 class ValueMap:
-    """Values over the plane, and who stands in it."""
+    """Values over the plane, with sheep, shepherds and goal."""
 
     values: Array  # (PLACES, PLACES), rows along y
     sheep: Array  # (N, 2) m
@@ -42,13 +42,13 @@ class ValueMap:
         row, column = np.unravel_index(self.values.argmax(), self.values.shape)
         grid = np.linspace(-HALF_SIDE, HALF_SIDE, GRID_POINTS)
         center = self.sheep.mean(axis=0)
-        way = np.array([grid[column], grid[row]]) - center
-        lengths = np.linalg.norm(way) * np.linalg.norm(center)
-        return float(way @ center / max(lengths, 1e-9))
+        offset = np.array([grid[column], grid[row]]) - center
+        lengths = np.linalg.norm(offset) * np.linalg.norm(center)
+        return float(offset @ center / max(lengths, 1e-9))
 
     @property
     def high_share(self) -> float:
-        """Return the share of the plane with high values."""
+        """Return the fraction of the plane with high values."""
         low, high = self.values.min(), self.values.max()
         return float((self.values > low + HIGH_VALUE * (high - low)).mean())
 
@@ -57,7 +57,7 @@ def value_map(policy: Policy, seed: int = 0) -> ValueMap:
     """
     Return the values of a third shepherd, of a start with that seed and the goal at the origin.
 
-    All frames show the same moment, as nobody has moved yet.
+    All frames show the same moment, that of the start.
     """
     world = WorldConfig(n_sheep=N_SHEEP, n_shepherds=3, dt=policy.config.dt)
     start = spawn(world, torch.tensor([seed]))
@@ -76,11 +76,11 @@ def value_map(policy: Policy, seed: int = 0) -> ValueMap:
 def _values(policy: Policy, start: WorldState, places: Tensor) -> Tensor:
     """Return the values of a third shepherd at places (n, 2) m, (n,)."""
     count = len(places)
-    many = start.world(torch.zeros(count, dtype=torch.int64))
-    shepherds = torch.cat([many.shepherds[:, :2], places[:, None]], dim=1)
+    copies = start.world(torch.zeros(count, dtype=torch.int64))
+    shepherds = torch.cat([copies.shepherds[:, :2], places[:, None]], dim=1)
     third = torch.tensor([2])
-    ranges = scan(replace(many, shepherds=shepherds), policy.config.lidar, third)[:, 0]
-    seen = policy.config.observation.frames
-    frames = seen.seen(seen.begin(ranges))
+    ranges = scan(replace(copies, shepherds=shepherds), policy.config.lidar, third)[:, 0]
+    stack = policy.config.observation.frames
+    frames = stack.select(stack.begin(ranges))
     first = policy.first_ray(frames[:, -1])
-    return torch.as_tensor(policy.critic(policy.arranged(policy.scaled(frames), first)))
+    return torch.as_tensor(policy.critic(policy.arrange(policy.scale(frames), first)))

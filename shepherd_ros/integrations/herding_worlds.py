@@ -9,7 +9,7 @@ from gymnasium import spaces
 import numpy as np
 from shepherd_ros.config import ConfigError
 from shepherd_ros.sim.env import ShepherdEnv
-from shepherd_ros.sim.observation import first_ray, input_shape, network_input, turned
+from shepherd_ros.sim.observation import first_ray, input_shape, network_input, rotate_by_ray
 from shepherd_ros.sim.rollout import EnvConfig
 import torch
 from torch import Tensor
@@ -59,7 +59,7 @@ class HerdingWorlds:
         """Return inputs, reward (B,), truncated (B,) and info after actions (B, H, 2)."""
         speed = self.config.world.shepherd_speed
         way = torch.as_tensor(action, dtype=torch.float32) * speed
-        command = turned(way, self.first, self.config.lidar.n_rays)
+        command = rotate_by_ray(way, self.first, self.config.lidar.n_rays)
         stack, reward, _, truncated, info = self.env.step(command)
         return self._remember(stack), reward, truncated, info
 

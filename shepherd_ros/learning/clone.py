@@ -127,7 +127,7 @@ class CloneLearner:
         Where a teacher may turn either way, squares ask for the mean, which is to stand still, and
         hide all finer errors; in proportion, they ask for one of the two.
         """
-        x = self.policy.arranged(examples.frames[chosen], examples.first[chosen])
+        x = self.policy.arrange(examples.frames[chosen], examples.first[chosen])
         mean, _ = self.policy.actor(x)
         error = torch.linalg.vector_norm(mean - examples.wanted[chosen], dim=-1)
         bound = self.config.huber_delta

@@ -24,7 +24,7 @@ from shepherd_ros.policy import inference
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.flocking import model_of
-from shepherd_ros.sim.observation import turned
+from shepherd_ros.sim.observation import rotate_by_ray
 from shepherd_ros.sim.rollout import Moment
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
@@ -115,9 +115,9 @@ class LabelledWorlds:
             if wanted_one and decides:
                 wanted_one = False
                 present = now.state.shepherd_mask
-                frames = self.policy.config.frames.seen(self.learned['history'][present])
+                frames = self.policy.config.frames.select(self.learned['history'][present])
                 first = self.learned['first'][present]
-                wanted = turned(label[present], -first, frames.shape[-1])
+                wanted = rotate_by_ray(label[present], -first, frames.shape[-1])
                 examples.add(frames, first, wanted)
             driven = label if teacher_drives else command
             self.bags.add(self.group, driven, label)

@@ -11,7 +11,7 @@ from shepherd_ros.learning.group import CPU, Reward, team_reward, WorldGroup
 from shepherd_ros.learning.store import Store
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.policy.policy import Policy
-from shepherd_ros.sim.observation import turned
+from shepherd_ros.sim.observation import rotate_by_ray
 from shepherd_ros.sim.rng import mixed_seeds
 import torch
 from torch import Tensor
@@ -119,7 +119,7 @@ class Rollout:
         made.action[at], made.log_prob[at] = chosen, log_prob(chosen, mean, std)
         made.value[at] = policy.critic(x)
         command = torch.zeros_like(made.action[:, 0])
-        command[g, world, shepherd] = turned(chosen, first, policy.config.lidar.n_rays)
+        command[g, world, shepherd] = rotate_by_ray(chosen, first, policy.config.lidar.n_rays)
         return command
 
     def _begin_anew(self, t: int, made: Decisions) -> None:

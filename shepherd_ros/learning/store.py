@@ -42,7 +42,7 @@ class Store:
 
     def put(self, group: int, row: int, moment: Moment, starts: bool = False) -> None:
         """Put the observations of a group in a row; starts: its episode begins there."""
-        self.store[group, row] = self.policy.scaled(moment.ranges).to(self.store.dtype)
+        self.store[group, row] = self.policy.scale(moment.ranges).to(self.store.dtype)
         self.first[group, row] = self.policy.first_ray(moment.ranges)
         self.begun[group, row] = row if starts else self.begun[group, row - 1]
         self.mask[group, row] = moment.state.shepherd_mask
@@ -64,7 +64,7 @@ class Store:
 
     def inputs(self, rows: Tensor, first: Tensor) -> Tensor:
         """Return the network's input (n, D, L) for rows (n, K) of the flat store."""
-        return self.policy.arranged(self.frames(rows), first)
+        return self.policy.arrange(self.frames(rows), first)
 
     def roll(self) -> None:
         """Make room for the next decisions; rows of the last ones are void afterwards."""

@@ -18,7 +18,7 @@ from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.training_loop import TrainingLoop
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy, PolicyConfig
-from shepherd_ros.sim.observation import turned
+from shepherd_ros.sim.observation import rotate_by_ray
 from shepherd_ros.sim.rng import mixed_seeds
 from torch import Tensor
 
@@ -71,8 +71,8 @@ def stream_examples(
         if found is not None:
             frames = found.frames()
             first = policy.first_ray(frames[:, -1])
-            wanted = turned(found.wanted, -first, frames.shape[-1])
-            yield policy.scaled(frames), first, wanted
+            wanted = rotate_by_ray(found.wanted, -first, frames.shape[-1])
+            yield policy.scale(frames), first, wanted
 
 
 class BCTrainer:

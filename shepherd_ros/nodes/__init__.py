@@ -1,4 +1,4 @@
-"""The ROS nodes, a file for each executable: decode messages, call the core, encode its answer."""
+"""The ROS nodes, a file for each executable: decode messages, call the core, encode results."""
 
 __all__ = [
     'compose',

@@ -1,4 +1,4 @@
-"""Several nodes in one process: faster than a process each, the same node classes."""
+"""Composition of several nodes in one process: the same node classes, without DDS between them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def compose(processes: Sequence[Process], **kwargs: Any) -> list[ShepherdNode]:
     """
     Return the nodes of a stack, to be spun together with ros.runtime.spin().
 
-    What they say to each other alone does not go through DDS; other processes hear all they want.
+    Messages among these nodes alone bypass DDS; subscribers of other processes get theirs by DDS.
     Keyword arguments are those of rclpy's Node, such as a context. The executor is that of the
     first node.
     """

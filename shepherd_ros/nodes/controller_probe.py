@@ -1,4 +1,4 @@
-"""A node that shows recorded states to a running controller and hears what it commands."""
+"""A node that publishes recorded states to a running controller and collects its commands."""
 
 from __future__ import annotations
 
@@ -19,79 +19,81 @@ from shepherd_ros.wire.decode import Vector
 from shepherd_ros.wire.encode import encode_clock, encode_goal, encode_text
 from shepherd_ros.wire.topics import CLOCK, COMMANDS, EPISODE, GOAL
 
-RESEND_PERIOD = 0.25  # [s] after which an unanswered state is shown again, as flock_sim does
-LATCHED_ACK_TIMEOUT = 5.0  # [s] that readers get to take what is latched, before states follow
-ANSWER_TIMEOUT = 60.0  # [s] that a controller may take for an answer, its start included
+RESEND_PERIOD = 0.25  # [s] after which a state without response is published again
+LATCHED_ACK_TIMEOUT = 5.0  # [s] for readers to acknowledge latched messages before states follow
+ANSWER_TIMEOUT = 60.0  # [s] for the commands of a controller, its start included
 
 
 class ControllerProbe(ShepherdNode):
-    """Shows states one by one, each with the bytes that were recorded, and waits for answers."""
+    """Publishes states one by one, each as the recorded bytes, and waits for commands."""
 
     def __init__(self, **kwargs: Any) -> None:
-        """Create the node; topics come with the first episode."""
+        """Create the node; begin() subscribes."""
         super().__init__('controller_probe', **kwargs)
         self.outputs: dict[str, Output] = {}
         self.inputs: list[Any] = []
-        self.hearing = make_executor('single')
-        self.hearing.add_node(self)
+        self.probe_executor = make_executor('single')
+        self.probe_executor.add_node(self)
         self.world_frame = ''
         self.goal: list[float] = []
-        self.asked_ns = 0
-        self.answers: dict[int, np.ndarray] = {}  # to the last state: (2,) m/s by shepherd
+        self.stamp_ns = 0
+        self.commands: dict[int, np.ndarray] = {}  # to the last state: (2,) m/s by shepherd
 
     def begin(self, episode: RecordedEpisode) -> None:
-        """Announce a recorded episode."""
+        """Publish the description of a recorded episode, and subscribe to its commands."""
         for h in range(len(self.inputs), episode.n_shepherds):
-            taker = partial(self.take, h)
-            self.inputs.append(self.listen(COMMANDS, taker, h))
+            callback = partial(self.on_command, h)
+            self.inputs.append(self.listen(COMMANDS, callback, h))
         self.world_frame, self.goal = episode.frame_id, []
-        self.say(EPISODE, encode_text(episode.to_json()), latched=True)
+        self.publish(EPISODE, encode_text(episode.to_json()), latched=True)
 
-    def ask(
+    def request_commands(
         self,
         frame: Frame,
         raw: Mapping[str, bytes],
         shepherds: Collection[int],
-        look: Callable[[], None],
+        on_resend: Callable[[], None],
     ) -> dict[int, np.ndarray]:
         """
-        Return the commands (2,) m/s that answer a state, by shepherd.
+        Return the commands (2,) m/s for a state, by shepherd; without those that did not come.
 
-        raw has the messages of the state by topic. It is shown again until all of the shepherds
-        have answered, or for PATIENCE; look() is called each time.
+        raw has the messages of the state by topic. It is published again until all shepherds have
+        answered, or for ANSWER_TIMEOUT; on_resend() is called each time.
         """
         goal = [0.0, 0.0] if frame.goal is None else frame.goal.tolist()
         if goal != self.goal:
             self.goal = goal
-            self.say(GOAL, encode_goal(frame.stamp_ns, self.world_frame, *goal), latched=True)
-        self.asked_ns = frame.stamp_ns
-        self.answers = {}
-        begun = self.wall()
-        shown = begun - RESEND_PERIOD
-        while not self.answers.keys() >= set(shepherds) and self.wall() - begun < ANSWER_TIMEOUT:
-            if self.wall() - shown >= RESEND_PERIOD:
-                shown = self.wall()
-                self.say(CLOCK, encode_clock(frame.stamp_ns))
+            self.publish(GOAL, encode_goal(frame.stamp_ns, self.world_frame, *goal), latched=True)
+        self.stamp_ns = frame.stamp_ns
+        self.commands = {}
+        started = self.wall()
+        last_sent = started - RESEND_PERIOD
+        while (
+            not self.commands.keys() >= set(shepherds) and self.wall() - started < ANSWER_TIMEOUT
+        ):
+            if self.wall() - last_sent >= RESEND_PERIOD:
+                last_sent = self.wall()
+                self.publish(CLOCK, encode_clock(frame.stamp_ns))
                 for topic, content in raw.items():
-                    self.say(topic, content)
-                look()
-            self.hearing.spin_once(timeout_sec=RESEND_PERIOD)
-        return self.answers
+                    self.publish(topic, content)
+                on_resend()
+            self.probe_executor.spin_once(timeout_sec=RESEND_PERIOD)
+        return self.commands
 
-    def say(self, topic: str, content: bytes, latched: bool = False) -> None:
-        """Publish a message, such as shepherd_0/scan/goal; if latched, wait until it is read."""
+    def publish(self, topic: str, content: bytes, latched: bool = False) -> None:
+        """Publish a message on a topic; if latched, wait until it is acknowledged."""
         if topic not in self.outputs:
-            ours = known(f'/{topic.lstrip("/")}')
-            assert ours is not None, topic
-            self.outputs[topic] = self.advertise(ours.topic.name, ours.shepherd)
+            entry = known(f'/{topic.lstrip("/")}')
+            assert entry is not None, topic
+            self.outputs[topic] = self.advertise(entry.topic.name, entry.shepherd)
         self.outputs[topic].publish(content)
         if latched:
             self.outputs[topic].wait_for_all_acked(Duration(seconds=LATCHED_ACK_TIMEOUT))
 
-    def take(self, shepherd: int, command: Vector) -> None:
-        """Keep a command if it answers the last state."""
-        if command.stamp_ns == self.asked_ns:
-            self.answers.setdefault(shepherd, command.xy)
+    def on_command(self, shepherd: int, command: Vector) -> None:
+        """Store a command if its stamp is that of the last state."""
+        if command.stamp_ns == self.stamp_ns:
+            self.commands.setdefault(shepherd, command.xy)
 
 
 @contextmanager
@@ -102,6 +104,6 @@ def open_controller_probe() -> Iterator[ControllerProbe]:
     try:
         yield node
     finally:
-        node.hearing.shutdown()
+        node.probe_executor.shutdown()
         node.destroy_node()
         rclpy.try_shutdown()

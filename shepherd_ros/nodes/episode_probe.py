@@ -1,4 +1,4 @@
-"""A node that remembers an episode: states, one shepherd's scans, and the metrics as published."""
+"""A node that collects an episode: states, one shepherd's scans, and the published metrics."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from shepherd_ros.wire.topics import metric_topic, scan_topic
 
 
 class EpisodeProbe(ShepherdNode):
-    """Listens to a whole stack and keeps what it hears of the first episode."""
+    """Subscribes to the topics of a stack and stores those of the first episode."""
 
-    backlog = 10_000  # it hears more than anybody and may be slower than the stack
+    backlog = 10_000  # it has more topics than other nodes and may be slower than the stack
 
     def __init__(self, shepherd: int = 0, **kwargs: Any) -> None:
-        """Listen to everything, to the scans of one shepherd only."""
+        """Subscribe to states, metrics and the scans of one shepherd."""
         super().__init__('episode_probe', **kwargs)
         self.shepherd = shepherd
         self.episode: Episode | None = None
@@ -41,36 +41,36 @@ class EpisodeProbe(ShepherdNode):
             self.listen(metric_topic(name), partial(self.on_metric, name))
 
     def on_state(self, ns: int, state: WorldState, episode: Episode) -> None:
-        """Keep a state of the first episode."""
+        """Store a state of the first episode."""
         self.episode = self.episode or episode
         if self.episode.number == episode.number:
             self.states[ns] = state
             self.step = int(state.step)
 
     def on_scan(self, channel: int, scan: Scan) -> None:
-        """Keep the ranges of one channel."""
+        """Store the ranges of one channel."""
         self.scans.setdefault(scan.stamp_ns, {})[channel] = scan.ranges
 
     def on_metric(self, name: str, value: float) -> None:
-        """Keep the newest value of a metric."""
+        """Store the newest value of a metric."""
         self.metrics[name] = value
 
     @property
-    def hears_all(self) -> bool:
+    def is_complete(self) -> bool:
         """Return whether states, scans and all metrics have arrived."""
         return bool(self.states and self.scans and len(self.metrics) == len(METRICS))
 
-    def whole(self) -> tuple[np.ndarray, WorldState]:
-        """Return the stamps (T,) s and the states (T) in order of time."""
+    def trajectory(self) -> tuple[np.ndarray, WorldState]:
+        """Return the stamps (T,) s and the states (T) of the episode, in order of time."""
         order = sorted(self.states)
         return np.array(order) * 1e-9, stack([self.states[ns] for ns in order])
 
     def ranges(self) -> np.ndarray:
-        """Return the shepherd's ranges (T, 3, R) m for each state; a scan not heard is all inf."""
-        some = next(iter(self.scans.values()), {0: np.full(1, np.inf, np.float32)})
-        nothing = np.full_like(next(iter(some.values())), np.inf)
+        """Return the shepherd's ranges (T, 3, R) m for each state; inf for a missing scan."""
+        first_scan = next(iter(self.scans.values()), {0: np.full(1, np.inf, np.float32)})
+        free = np.full_like(next(iter(first_scan.values())), np.inf)
         rows = [
-            [self.scans.get(ns, {}).get(k, nothing) for k in range(len(PAPER_CHANNELS))]
+            [self.scans.get(ns, {}).get(k, free) for k in range(len(PAPER_CHANNELS))]
             for ns in sorted(self.states)
         ]
         return np.array(rows)

@@ -1,7 +1,7 @@
 """
 The main functions of executables by name, as `shepherd_ros.nodes.executables:flock_sim`.
 
-What one imports takes seconds, in which Ctrl-C ends it at once and without a traceback.
+The imports of one take seconds, in which Ctrl-C ends it at once and without a traceback.
 """
 
 from __future__ import annotations

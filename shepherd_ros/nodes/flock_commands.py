@@ -11,7 +11,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import NodeNameNonExistentError
 from shepherd_ros.nodes.pending_commands import CommandBuffer
-from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, UNNAMED, WARN
+from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, UNKNOWN_NODE_NAME, WARN
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.sim.limits import MAX_FLOAT32
 from shepherd_ros.wire.decode import decode_stamp, Vector
@@ -19,7 +19,7 @@ from shepherd_ros.wire.episode import Episode
 from shepherd_ros.wire.topics import COMMANDS, scan_topic
 
 REFUSAL_WARNING_PERIOD = 5.0  # [s] between two warnings of one kind
-SILENCE_CHECK_PERIOD = 0.5  # [s] between two looks at why somebody is silent
+SILENCE_CHECK_PERIOD = 0.5  # [s] between two checks of the reason for missing commands
 
 
 def seconds_text(ns: int) -> str:
@@ -29,7 +29,7 @@ def seconds_text(ns: int) -> str:
 
 class FlockCommands:
     """
-    Subscribes to the commands of every shepherd of an episode and hands them on when due.
+    Subscribes to the commands of every shepherd of an episode; on_answers() once all are there.
 
     In lockstep a stamped command counts if its stamp is that of the present state; in realtime
     if it is at most watchdog_steps old. Every refusal is counted for /diagnostics and logged.
@@ -55,20 +55,20 @@ class FlockCommands:
         self.scans: dict[str, Any] = {}
         self.scanned: set[str] = set()
         self.counts: Counter[str] = Counter()
-        self.said: dict[str, float] = {}
+        self.last_logged: dict[str, float] = {}
         self.lockstep = True
         self.now_ns = self.dt_ns = 0
-        self.since = node.wall()
-        self.named: dict[str, str] = {}  # who is silent, and what is known of the reason
-        self.look_at = 0.0  # when to look for the reason again
-        self.refused = 0  # commands that were not finite, at the last report
+        self.waiting_since = node.wall()
+        self.reasons: dict[str, str] = {}  # the reason, by silent topic
+        self.next_check = 0.0  # when to look for the reason again
+        self.reported_refusals = 0  # commands that were not finite, at the last report
         self.rivals: dict[str, list[str]] = {}
 
     def begin(self, episode: Episode) -> None:
-        """Make ready for the team of an episode."""
+        """Subscribe to the commands of the team of an episode."""
         self.lockstep = episode.mode == 'lockstep'
         self.commands = CommandBuffer(episode.n_shepherds)
-        self.named = {}
+        self.reasons = {}
         kind = '' if self.stamped else 'geometry_msgs/msg/Twist'
         while len(self.inputs) > episode.n_shepherds:
             self.node.destroy_subscription(self.inputs.pop())
@@ -87,16 +87,16 @@ class FlockCommands:
             self.scans[name] = self.node.listen(topic, receiver, h, decode=decode_stamp)
 
     def expect(self, now_ns: int, dt_ns: int) -> None:
-        """Begin to wait for answers to a new state."""
-        self._forgive()
+        """Wait for the commands for a new state."""
+        self._clear_answered()
         self.now_ns, self.dt_ns = now_ns, dt_ns
         self.commands.expect()
         self.scanned.clear()
-        self.since, self.look_at = self.node.wall(), 0.0
+        self.waiting_since, self.next_check = self.node.wall(), 0.0
 
     @property
     def complete(self) -> bool:
-        """Return whether the world may move."""
+        """Return whether all commands, and scans where they count, are there."""
         return self.commands.complete and len(self.scanned) == len(self.scans)
 
     def _receiver(self, shepherd: int) -> Callable[[Vector], None]:
@@ -154,55 +154,59 @@ class FlockCommands:
     def _refuse(self, reason: str, text: str) -> None:
         self.counts[reason] += 1
         now = self.node.wall()
-        if now - self.said.get(reason, -REFUSAL_WARNING_PERIOD) >= REFUSAL_WARNING_PERIOD:
-            self.said[reason] = now
+        if now - self.last_logged.get(reason, -REFUSAL_WARNING_PERIOD) >= REFUSAL_WARNING_PERIOD:
+            self.last_logged[reason] = now
             self.node.get_logger().warning(text)
 
     def missing(self) -> list[str]:
-        """Return whose answers to the present state are missing."""
-        lacking = [COMMANDS.format(h=h) for h in self.commands.silent()]
-        return lacking + [name for name in self.scans if name not in self.scanned]
+        """Return the topics whose messages for the present state are missing."""
+        silent = [COMMANDS.format(h=h) for h in self.commands.silent()]
+        return silent + [name for name in self.scans if name not in self.scanned]
 
     def watch(self, patience: float) -> None:
-        """Log by name who has been silent for longer than patience [s], and whom they wait for."""
-        self._forgive()
+        """Log the topics silent for longer than patience [s], each with its publishers."""
+        self._clear_answered()
         now = self.node.wall()
-        if self.complete or now < max(self.since + patience, self.look_at):
+        if self.complete or now < max(self.waiting_since + patience, self.next_check):
             return
-        self.look_at = now + SILENCE_CHECK_PERIOD
+        self.next_check = now + SILENCE_CHECK_PERIOD
         named = {name: self._reason(name) for name in self.missing()}
-        if named != self.named:
-            self.named = named
+        if named != self.reasons:
+            self.reasons = named
             self.node.get_logger().warning(
                 f'waiting at {self.now_ns * 1e-9:.3f} s for {"; ".join(named.values())}: start or '
                 'wake the node that answers, the episode then goes on'
             )
 
-    def _forgive(self) -> None:
-        """Name no more who has answered meanwhile."""
-        missing = self.missing() if self.named else []
-        if answered := [name for name in self.named if name not in missing]:
+    def _clear_answered(self) -> None:
+        """Remove the topics that have answered from the silent ones."""
+        missing = self.missing() if self.reasons else []
+        if answered := [name for name in self.reasons if name not in missing]:
             self.node.get_logger().info(f'{", ".join(answered)}: answering again')
-            self.named = {name: why for name, why in self.named.items() if name in missing}
+            self.reasons = {
+                name: reason for name, reason in self.reasons.items() if name in missing
+            }
 
     def _reason(self, topic: str) -> str:
-        """Return a topic with who publishes it, and from whom those get the scans they need."""
+        """Return a topic with its publishers, and with those of the scans that they read."""
         scans = set()
         for writer in self.node.get_publishers_info_by_topic(topic):
-            if writer.node_name == UNNAMED:
+            if writer.node_name == UNKNOWN_NODE_NAME:
                 continue
             with suppress(NodeNameNonExistentError):
-                heard = self.node.get_subscriber_names_and_types_by_node(
+                subscriptions = self.node.get_subscriber_names_and_types_by_node(
                     writer.node_name, writer.node_namespace
                 )
-                scans |= {name for name, kinds in heard if 'sensor_msgs/msg/LaserScan' in kinds}
-        why = self.node.sourced(topic)
+                scans |= {
+                    name for name, kinds in subscriptions if 'sensor_msgs/msg/LaserScan' in kinds
+                }
+        reason = self.node.sourced(topic)
         if scans:
-            why = f'{why[:-1]}, by {", ".join(map(self.node.sourced, sorted(scans)))})'
-        return why
+            reason = f'{reason[:-1]}, by {", ".join(map(self.node.sourced, sorted(scans)))})'
+        return reason
 
     def find_rivals(self) -> None:
-        """Warn of shepherds that more than one node commands, once per set of nodes."""
+        """Log shepherds that more than one node commands, once per set of nodes."""
         rivals = {}
         for h in range(self.commands.n_shepherds):
             writers = self.node.publishers_of(COMMANDS.format(h=h))
@@ -220,9 +224,9 @@ class FlockCommands:
         """Return the diagnostics of the commands."""
         self.find_rivals()
         level, message = OK, 'every shepherd answers'
-        if self.named:
+        if self.reasons:
             level = ERROR
-            message = f'no answer on {", ".join(self.named)}: {"; ".join(self.named.values())}'
+            message = f'no answer on {", ".join(self.reasons)}: {"; ".join(self.reasons.values())}'
         elif not self.lockstep:
             stopped = [
                 f'shepherd_{h}' for h, age in enumerate(self.commands.age)
@@ -232,8 +236,8 @@ class FlockCommands:
                 level, message = ERROR, 'stopped by the watchdog: ' + ', '.join(stopped)
         if level == OK and self.rivals:
             level, message = WARN, 'several nodes command ' + ', '.join(sorted(self.rivals))
-        if level == OK and self.counts['not_finite'] > self.refused:
+        if level == OK and self.counts['not_finite'] > self.reported_refusals:
             level, message = WARN, 'commands that are not finite count as zero'
-        self.refused = self.counts['not_finite']
-        shown = {name: self.counts[name] for name in ('not_finite', 'wrong_frame', 'wrong_stamp')}
-        return self.node.status('commands', level, message, late=self.counts['late'], **shown)
+        self.reported_refusals = self.counts['not_finite']
+        counts = {name: self.counts[name] for name in ('not_finite', 'wrong_frame', 'wrong_stamp')}
+        return self.node.status('commands', level, message, late=self.counts['late'], **counts)

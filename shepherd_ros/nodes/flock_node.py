@@ -1,4 +1,4 @@
-"""The node that owns the world: it moves sheep and shepherds, and publishes what is true."""
+"""The simulator node: it moves sheep and shepherds, and publishes the true state."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class FlockSim(ShepherdNode):
         self.dt_ns = round(self.world.dt * 1e9)
         self.now_ns = 0
         self.pending_goal: Tensor | None = None
-        self.sent = 0.0
+        self.last_published = 0.0
         self.pacing = Pacing(self.wall())
         self.output = WorldOutput(self)
         self.flock_commands = FlockCommands(self, self.on_answers)
@@ -74,7 +74,7 @@ class FlockSim(ShepherdNode):
         self.keep_pace()
         self.timer(WATCH_PERIOD, self.watch)
         self.add_on_set_parameters_callback(partial(check_changes, self.world_parameters))
-        self.add_post_set_parameters_callback(self.take_parameters)
+        self.add_post_set_parameters_callback(self.on_parameters)
 
     @property
     def period(self) -> float:
@@ -185,12 +185,12 @@ class FlockSim(ShepherdNode):
                 self.resume()
         if self.finished or self.mode != 'lockstep':
             return
-        waited = self.wall() - self.sent
+        waited = self.wall() - self.last_published
         if self.flock_commands.complete:
             if waited > PAUSED_RESEND:
                 self.publish_state(again=True)
         elif waited > self.resend:
-            if self.flock_commands.named:  # who is silent for long may know of another episode
+            if self.flock_commands.reasons:  # who is silent for long may know of another episode
                 self.output.episode(self.now_ns, self.episode, self.state, seconds=0.0)
             self.publish_state(again=True)
         self.flock_commands.watch(self.patience)
@@ -201,7 +201,7 @@ class FlockSim(ShepherdNode):
         """Publish the present state, and expect answers to it."""
         if not again:
             self.flock_commands.expect(self.now_ns, self.dt_ns)
-        self.sent = self.wall()
+        self.last_published = self.wall()
         self.output.state(self.now_ns, self.state, self.moment.before)
 
     def set_goal(self, goal: Tensor) -> None:
@@ -223,7 +223,7 @@ class FlockSim(ShepherdNode):
 
     # ---- parameters and diagnostics ----
 
-    def take_parameters(self, parameters: list[Parameter]) -> None:
+    def on_parameters(self, parameters: list[Parameter]) -> None:
         """Go on at a new rate; what is new of the world holds from the next episode on."""
         for parameter in parameters:
             if parameter.name == 'seed':
@@ -236,8 +236,8 @@ class FlockSim(ShepherdNode):
 
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return the diagnostics of the episode and of the commands."""
-        wanted = 1 / self.period if self.mode == 'realtime' else 0.0
-        rate, fault = self.pacing.report(self.wall(), wanted)
+        expected = 1 / self.period if self.mode == 'realtime' else 0.0
+        rate, fault = self.pacing.report(self.wall(), expected)
         episode = self.status(
             'episode', WARN if fault else OK, fault or 'running', episode=self.number,
             seed=self.episode.seed, step=int(self.state.step), steps_per_second=round(rate, 1),

@@ -1,4 +1,4 @@
-"""The parameters of flock_sim that make the world, and changes of others while it runs."""
+"""The parameters of flock_sim for its world, and changes of others while it runs."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def declare_rate(node: ShepherdNode) -> float:
 
 
 def check_rate(rate: float) -> None:
-    """Refuse a rate at which no step would be made in a quarter of an hour."""
+    """Raise ConfigError for a rate of less than a step in a quarter of an hour."""
     if 0 < rate < LOWEST_RATE:
         raise ConfigError(
             f'rate is {rate}: expected 0, or at least {LOWEST_RATE} steps per second'

@@ -28,42 +28,42 @@ class WorldOutput:
         )
         self.outputs = {name: node.advertise(name) for name in TOPICS if name != CLOCK or clock}
         self.transforms = TransformOutput(node)
-        self.drawn = 0.0
+        self.last_markers = 0.0
 
     def episode(self, ns: int, episode: Episode, state: WorldState, seconds: float = 0.2) -> None:
-        """Publish what is latched, and wait until everybody has it: states come after it."""
+        """Publish the latched topics, and wait until all readers have them, at most `seconds`."""
         self.outputs[EPISODE].publish(encode_text(episode.to_json()))
         self.goal(ns, state)
         self.wait(EPISODE, GOAL, seconds=seconds)
 
     def goal(self, ns: int, state: WorldState) -> None:
-        """Publish where the goal is."""
+        """Publish the position of the goal."""
         x, y = state.goal.tolist()
         self.outputs[GOAL].publish(encode_goal(ns, self.node.frame_id, x, y))
 
     def state(self, ns: int, state: WorldState, before: WorldState) -> None:
-        """Publish clock and poses; the state before gives the shepherds' headings."""
-        frame, moved = self.node.frame_id, unit(state.shepherds - before.shepherds)
+        """Publish clock and poses; the shepherds' headings point from the state before."""
+        frame, heading = self.node.frame_id, unit(state.shepherds - before.shepherds)
         if CLOCK in self.outputs:
             self.outputs[CLOCK].publish(encode_clock(ns))
         self.outputs[SHEPHERD_POSES].publish(
-            encode_poses(ns, frame, state.shepherds.numpy(), moved.numpy())
+            encode_poses(ns, frame, state.shepherds.numpy(), heading.numpy())
         )
         self.outputs[SHEEP_POSES].publish(
             encode_poses(ns, frame, state.sheep.numpy(), state.heading.numpy())
         )
         self.transforms.publish(ns, state.shepherds)
         now = self.node.wall()
-        if now - self.drawn > MARKER_PERIOD:
+        if now - self.last_markers > MARKER_PERIOD:
             if self.outputs['markers'].get_subscription_count():
                 self.outputs['markers'].publish(world_markers(ns, frame, state))
-            self.drawn = now
+            self.last_markers = now
 
     def readers(self) -> int:
-        """Return how many subscriptions to the poses DDS has found."""
+        """Return the number of subscriptions to the poses that DDS has discovered."""
         return sum(self.outputs[topic].get_subscription_count() for topic in POSES)
 
     def wait(self, *topics: str, seconds: float) -> None:
-        """Wait until every reader has what was published, at most so long for each topic."""
+        """Wait until every reader has acknowledged all, at most `seconds` for each topic."""
         for topic in topics:
             self.outputs[topic].wait_for_all_acked(Duration(seconds=seconds))

@@ -14,7 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 
 
 class FlockRequests:
-    """Offers the services, hears goal_pose and calls what carries them out."""
+    """Serves reset, pause and step, and subscribes to goal_pose."""
 
     def __init__(
         self,
@@ -33,14 +33,14 @@ class FlockRequests:
         node.listen('goal_pose', self.on_goal_pose)
 
     def reset(self, request: Any, response: Any) -> Any:
-        """Start a new episode, with the seed that parameter seed was set to, or the next."""
+        """Start a new episode, with the seed of parameter seed if it was set, or the next."""
         episode = self.begin_episode()
         response.success = True
         response.message = f'episode {episode.number}, seed {episode.seed}'
         return response
 
     def step(self, request: Any, response: Any) -> Any:
-        """Make as many steps as parameter step_size says, then pause."""
+        """Make step_size steps, then pause."""
         n = self.node.get_parameter('step_size').value
         self.pacing.pause(True, n)
         self.resume()

@@ -1,4 +1,4 @@
-"""A whole stack in one process: many times a robot's pace, and still open to every other node."""
+"""A whole stack in one process: many times faster than real time, with all its topics."""
 
 from __future__ import annotations
 

@@ -29,10 +29,10 @@ GENERIC = Controller.executable
 
 
 class HeuristicNode(ShepherdNode):
-    """Answers every state with a command for each of its shepherds, all of them by default."""
+    """Publishes a command for each of its shepherds, by default all, for every state."""
 
     def __init__(self, controller: str = '', **kwargs: Any) -> None:
-        """Create the node of the controller with that name, of a parameter if it is empty."""
+        """Create the node of a controller; '': of the one that a parameter names."""
         compiled.start_numba()
         super().__init__(controller or GENERIC, **kwargs)
         if not controller:
@@ -64,32 +64,32 @@ class HeuristicNode(ShepherdNode):
         self.listener = Listener(self, self.on_state, self.on_episode)
 
     def on_episode(self, episode: Episode, world: WorldConfig) -> None:
-        """Forget the episode before and make ready to command the team of this one."""
+        """Create the controller and the publishers of an episode."""
         self.controller = self.kind(self.options, world)
         self.last = None
-        wanted = self.shepherd_ids
-        team = range(episode.n_shepherds) if ALL_SHEPHERDS in wanted else wanted
-        strangers = [h for h in team if not 0 <= h < episode.n_shepherds]
-        if strangers:
+        ids = self.shepherd_ids
+        team = range(episode.n_shepherds) if ALL_SHEPHERDS in ids else ids
+        unknown = [h for h in team if not 0 <= h < episode.n_shepherds]
+        if unknown:
             self.get_logger().error(
-                f'shepherd_ids has {strangers}: expected 0 to {episode.n_shepherds - 1}, '
+                f'shepherd_ids has {unknown}: expected 0 to {episode.n_shepherds - 1}, '
                 'as this episode has no others; they get no commands'
             )
-        mine = [h for h in team if h not in strangers]
-        for h in [h for h in self.outputs if h not in mine]:
+        commanded = [h for h in team if h not in unknown]
+        for h in [h for h in self.outputs if h not in commanded]:
             self.destroy_publisher(self.outputs.pop(h))
         kind = '' if self.stamped else 'geometry_msgs/msg/Twist'
-        for h in [h for h in mine if h not in self.outputs]:
+        for h in [h for h in commanded if h not in self.outputs]:
             self.outputs[h] = self.advertise(self.commands, h, kind)
 
     def on_state(self, ns: int, state: WorldState, episode: Episode) -> None:
-        """Answer a state; one that comes again gets the same answer."""
+        """Publish the commands for a state; the same again for a repeated state."""
         assert self.controller is not None
         if self.last is None or ns != self.last[0]:
-            seen = perceive(state, self.noise_std)
+            perceived = perceive(state, self.noise_std)
             if self.last is None or ns < self.last[0]:
-                self.memory = self.controller.begin(seen)
-            command, self.memory = self.controller.act(seen, self.memory)
+                self.memory = self.controller.begin(perceived)
+            command, self.memory = self.controller.act(perceived, self.memory)
             self.last = (ns, command)
         for h, output in self.outputs.items():
             x, y = self.last[1][h].tolist()
@@ -97,7 +97,7 @@ class HeuristicNode(ShepherdNode):
             output.publish(stamped if self.stamped else encode_twist(x, y))
 
     def diagnose(self) -> list[DiagnosticStatus]:
-        """Return whether states come in."""
+        """Return the status of the controller: whether states arrive."""
         silence = self.listener.silence()
         return [
             self.status(

@@ -52,14 +52,14 @@ class LidarNode(ShepherdNode):
         }
         self.markers = self.advertise('markers')
         self.present: list[int] = []
-        self.chosen = torch.tensor(self.present)
-        self.drawn = 0.0
+        self.sensors = torch.tensor(self.present)
+        self.last_markers = 0.0
         self.listener = Listener(self, self.on_state, self.on_episode)
 
     def on_episode(self, episode: Episode, world: WorldConfig) -> None:
-        """Find out which of the shepherds are there."""
+        """Select the shepherds of the node that the episode has."""
         self.present = [h for h in self.shepherd_ids if 0 <= h < episode.n_shepherds]
-        self.chosen = torch.tensor(self.present, dtype=torch.int64)
+        self.sensors = torch.tensor(self.present, dtype=torch.int64)
         if self.present != self.shepherd_ids:
             missing = sorted(set(self.shepherd_ids) - set(self.present))
             self.get_logger().error(
@@ -68,25 +68,25 @@ class LidarNode(ShepherdNode):
             )
 
     def on_state(self, ns: int, state: WorldState, episode: Episode) -> None:
-        """Publish what the shepherds see of a state."""
+        """Publish the scans of a state."""
         if not self.present:
             return
-        seen = perceive(state, self.noise_std)
-        ranges = scan(seen, self.config, self.chosen).numpy()
-        draw = self.wall() - self.drawn > RAY_MARKER_PERIOD
+        perceived = perceive(state, self.noise_std)
+        ranges = scan(perceived, self.config, self.sensors).numpy()
+        draw = self.wall() - self.last_markers > RAY_MARKER_PERIOD
         for row, h in zip(ranges, self.present, strict=True):
             frame = self.scan_frame.replace('{h}', str(h))
             for output, channel in zip(self.outputs[h], row, strict=True):
                 output.publish(encode_scan(ns, frame, channel, self.config.range_max, episode.dt))
             if draw and self.markers.get_subscription_count():
-                origin, seen_by_h = state.shepherds[h], torch.from_numpy(row)
-                by_channel = dict(zip(self.config.layout.channels, seen_by_h, strict=True))
+                origin, ranges_of_h = state.shepherds[h], torch.from_numpy(row)
+                by_channel = dict(zip(self.config.layout.channels, ranges_of_h, strict=True))
                 self.markers.publish(ray_markers(ns, self.frame_id, h, origin, by_channel))
         if draw:
-            self.drawn = self.wall()
+            self.last_markers = self.wall()
 
     def diagnose(self) -> list[DiagnosticStatus]:
-        """Return whether states come in and the shepherds exist."""
+        """Return the status of the lidar: whether states arrive and the shepherds exist."""
         level, message = OK, 'scanning'
         if silence := self.listener.silence():
             level, message = WARN, silence

@@ -11,7 +11,7 @@ from shepherd_ros.ros.node import OK, ShepherdNode, WARN
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.ros.world_subscriber import Listener
 from shepherd_ros.sim.metrics import METRICS, PAPER_METRICS
-from shepherd_ros.sim.rollout import arrive, EnvConfig, Moment, start
+from shepherd_ros.sim.rollout import advance_to, EnvConfig, Moment, start
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_number
@@ -50,7 +50,7 @@ class MetricsNode(ShepherdNode):
             self.moment = start(state, EnvConfig(world=self.world))
             self.gaps = int(step > 0)
         elif step > last:
-            self.moment = arrive(self.moment, state)
+            self.moment = advance_to(self.moment, state)
             self.gaps += int(step > last + 1)
         else:  # a state that is shown again counts once
             self.moment = replace(self.moment, state=state)

@@ -68,7 +68,9 @@ def _checked_topic(name: str, topic: str) -> str:
 
 def _names(node: ShepherdNode, room: str, known: Iterable[str]) -> list[str]:
     """Return the names in a room of the parameters, those that the user gave last."""
-    given = {key.split('.')[1] for key in node.given or () if re.match(rf'{room}\.[^.]+\.', key)}
+    given = {
+        key.split('.')[1] for key in node.overrides or () if re.match(rf'{room}\.[^.]+\.', key)
+    }
     return [_checked_name(room, name) for name in dict.fromkeys([*known, *sorted(given)])]
 
 

@@ -17,18 +17,18 @@ class CommandBuffer:
     NEVER = 1 << 30
 
     def __post_init__(self) -> None:
-        """Start with no command from anybody."""
+        """Start without any command."""
         self.velocities = [(0.0, 0.0)] * self.n_shepherds
         self.answered = [False] * self.n_shepherds
         self.age = [self.NEVER] * self.n_shepherds
 
     def expect(self) -> None:
-        """Begin to wait for answers to a new state."""
+        """Wait for the commands for a new state."""
         self.answered = [False] * self.n_shepherds
         self.age = [min(age + 1, self.NEVER) for age in self.age]
 
     def add(self, shepherd: int, velocity: tuple[float, float]) -> None:
-        """Take a command as the answer to the present state; a later one replaces it."""
+        """Store a command for the present state; a later one replaces it."""
         self.velocities[shepherd] = velocity
         self.answered[shepherd] = True
         self.age[shepherd] = 0

@@ -1,4 +1,4 @@
-"""The player node: a bag back on its topics, at its pace."""
+"""The player node: it publishes the messages of a bag on their topics, at its rate."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from std_srvs.srv import SetBool, Trigger
 
 NS_PER_SECOND = 1_000_000_000  # [ns]
 PLAYER_ACK_TIMEOUT = 4.0  # [s] for readers to miss what did not arrive: DDS asks them every 3 s
-SHORTEST_ROUND = 0.1  # [s] of --loop: a bag may have one message
+MIN_LOOP_PERIOD = 0.1  # [s] of --loop: a bag may have one message
 LATCHED_LEAD = 0.2  # [s] that readers get to know the topics before the first message
 
 
 class Player(ShepherdNode):
-    """Publishes the bytes that were recorded, in their order, at the times of the recording."""
+    """Publishes the recorded bytes in their order, at the times of the recording."""
 
     def __init__(self, options: PlayerOptions, **kwargs: Any) -> None:
         """Create the publishers; a thread plays."""
@@ -42,38 +42,40 @@ class Player(ShepherdNode):
             raise ConfigError(
                 f'--topics has {", ".join(unknown)}: expected some of {", ".join(self.bag.topics)}'
             )
-        kinds, refused = {}, []
+        types, skipped = {}, []
         for name, topic in self.bag.topics.items():
             if not options.topics or name in options.topics:
                 try:
-                    kinds[name] = playable_type(self.bag, topic)
+                    types[name] = playable_type(self.bag, topic)
                 except ConfigError as error:
-                    refused.append(str(error))
-        if refused and not kinds:
-            raise ConfigError(refused[0])
-        self.names = list(kinds)
+                    skipped.append(str(error))
+        if skipped and not types:
+            raise ConfigError(skipped[0])
+        self.names = list(types)
         super().__init__('player', **kwargs)  # after what needs no graph
-        for why in refused:
-            self.get_logger().warning(f'skipped: {why}')
+        for reason in skipped:
+            self.get_logger().warning(f'skipped: {reason}')
         self.outputs: dict[str, Publisher] = {
             name: self.create_publisher(kind, name, recorded_quality(self.bag.topics[name].qos))
-            for name, kind in kinds.items()
+            for name, kind in types.items()
         }
         histories = {name: history(self.bag.topics[name].qos) for name in self.names}
         self.latched = {name: depth for name, depth in histories.items() if depth}
         self.clock_output = None
         if options.clock and CLOCK not in self.names:
             self.clock_output = self.advertise(CLOCK)
-            self.timer(1 / options.clock, self.tell_time)
+            self.timer(1 / options.clock, self.publish_clock)
         self.played = 0
         self.lateness: list[float] = []  # [s] of each message
-        self.at_ns = self.next_ns = self.bag.start_ns  # of the last message, and of the next one
-        self.begun = self.paused = 0.0  # wall times [s]: of the start, later by pauses; of a pause
+        self.current_ns = self.next_ns = self.bag.start_ns  # of the last and the next message
+        self.started = self.paused = (
+            0.0  # [s] wall times: of the start, later by pauses; of a pause
+        )
         self.steps = 0
         self.running = Event()
         if not options.start_paused:
             self.running.set()
-        self.lock, self.stopped, self.woken = Lock(), Event(), Event()
+        self.lock, self.stopped, self.wake = Lock(), Event(), Event()
         self.failure = ''
         self.create_service(SetBool, '~/pause', self.pause)
         self.option('step_size', 1, 'messages that ~/step plays', read_only=False, low=1)
@@ -86,19 +88,19 @@ class Player(ShepherdNode):
     def play(self) -> None:
         """Play the bag, once or for ever."""
         try:
-            self.await_readers()
+            self.wait_for_subscribers()
             again = True
             while again and not self.stopped.is_set():
-                before, limit = self.played, self.wall() + SHORTEST_ROUND
+                played_before, limit = self.played, self.wall() + MIN_LOOP_PERIOD
                 self.play_once()
-                again = self.options.loop and self.played > before
+                again = self.options.loop and self.played > played_before
                 self.stopped.wait(limit - self.wall() if again else 0.0)
         except ConfigError as error:
             self.failure = str(error)
         self.finished = True
 
-    def await_readers(self) -> None:
-        """Give readers time to come: what is latched waits for them by itself."""
+    def wait_for_subscribers(self) -> None:
+        """Wait until every topic has a reader, at most the time of option wait."""
         limit = self.wall() + self.options.wait
         while self.wall() < limit and not self.stopped.wait(0.02):
             if all(o.get_subscription_count() for o in self.outputs.values()):
@@ -106,66 +108,68 @@ class Player(ShepherdNode):
         self.stopped.wait(LATCHED_LEAD)
 
     def messages(self) -> Iterator[BagMessage]:
-        """Yield the messages to play; before the start only latched ones."""
+        """Yield the messages to play; from before start_offset only latched ones."""
         first = self.bag.start_ns
         start = first + round(self.options.start_offset * NS_PER_SECOND)
         end = first + round(self.options.until * NS_PER_SECOND) if self.options.until else None
         if self.options.start_offset:
-            kept = {name: deque[BagMessage](maxlen=depth) for name, depth in self.latched.items()}
-            for message in self.bag.messages(kept, end_ns=start):
-                kept[message.topic].append(message)
-            yield from merge(*kept.values(), key=lambda message: message.log_ns)
+            latched = {
+                name: deque[BagMessage](maxlen=depth) for name, depth in self.latched.items()
+            }
+            for message in self.bag.messages(latched, end_ns=start):
+                latched[message.topic].append(message)
+            yield from merge(*latched.values(), key=lambda message: message.log_ns)
         yield from self.bag.messages(self.names, start, end)
 
     def play_once(self) -> None:
         """Publish every message when it is due."""
         first = self.bag.start_ns + round(self.options.start_offset * NS_PER_SECOND)
-        self.at_ns = self.next_ns = first
-        self.begun = self.wall()
+        self.current_ns = self.next_ns = first
+        self.started = self.wall()
         for message in self.messages():
             self.next_ns = max(message.log_ns, first)
-            ahead = (self.next_ns - first) / NS_PER_SECOND / self.options.rate
-            asked = False  # for this message, by ~/step
+            offset = (self.next_ns - first) / NS_PER_SECOND / self.options.rate
+            single_step = False  # for this message, by ~/step
             while not self.stopped.is_set():
-                if not (asked or self.running.is_set()):
+                if not (single_step or self.running.is_set()):
                     self.paused = self.wall()
-                    asked = self.await_go()
-                    self.begun += self.wall() - self.paused
+                    single_step = self.wait_for_resume()
+                    self.started += self.wall() - self.paused
                     self.paused = 0.0
                     continue
-                due = self.begun + ahead
+                due = self.started + offset
                 wait = due - self.wall()
                 if wait <= 0:
                     break
-                self.woken.wait(wait)
-                self.woken.clear()
+                self.wake.wait(wait)
+                self.wake.clear()
             else:
                 return
-            self.at_ns = self.next_ns
+            self.current_ns = self.next_ns
             self.outputs[message.topic].publish(message.data)
             self.lateness.append(max(self.wall() - due, 0.0))
             self.played += 1
 
     def bag_time(self) -> int:
-        """Return the time of the bag [ns], which goes on between two messages."""
-        passed = ((self.paused or self.wall()) - self.begun) * self.options.rate
+        """Return the time of the bag [ns], interpolated between two messages."""
+        passed = ((self.paused or self.wall()) - self.started) * self.options.rate
         first = self.bag.start_ns + self.options.start_offset * NS_PER_SECOND
-        return min(max(round(first + passed * NS_PER_SECOND), self.at_ns), self.next_ns)
+        return min(max(round(first + passed * NS_PER_SECOND), self.current_ns), self.next_ns)
 
-    def await_go(self) -> bool:
-        """Wait until the pause is over; true: only for one of the messages of ~/step."""
+    def wait_for_resume(self) -> bool:
+        """Wait until the pause is over; return whether it is only for a message of ~/step."""
         while not self.stopped.is_set() and not self.running.is_set():
             with self.lock:
                 if self.steps > 0:
                     self.steps -= 1
                     return True
-            self.woken.wait(0.05)
-            self.woken.clear()
+            self.wake.wait(0.05)
+            self.wake.clear()
         return False
 
-    def tell_time(self) -> None:
-        """Publish the time of the bag."""
-        if self.clock_output is not None and self.begun:
+    def publish_clock(self) -> None:
+        """Publish the time of the bag on /clock."""
+        if self.clock_output is not None and self.started:
             self.clock_output.publish(encode_clock(self.bag_time()))
 
     # ---- services, diagnostics, end ----
@@ -178,24 +182,24 @@ class Player(ShepherdNode):
             self.running.set()
         with self.lock:
             self.steps = 0
-        self.woken.set()
+        self.wake.set()
         response.success, response.message = True, 'paused' if request.data else 'playing'
         return response
 
     def step(self, request: Any, response: Any) -> Any:
-        """Play as many messages as parameter step_size says, then pause."""
+        """Play step_size messages, then pause."""
         n = self.get_parameter('step_size').value
         self.running.clear()
         with self.lock:
             self.steps += n
-        self.woken.set()
+        self.wake.set()
         response.success, response.message = True, f'{n} messages, then paused'
         return response
 
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return the diagnostics of the playback."""
         state = 'playing' if self.running.is_set() else 'paused'
-        elapsed = (self.at_ns - self.bag.start_ns) / NS_PER_SECOND
+        elapsed = (self.current_ns - self.bag.start_ns) / NS_PER_SECOND
         return [
             self.status(
                 'player', OK, state, bag=self.bag.path, messages=self.played, seconds=elapsed
@@ -203,9 +207,9 @@ class Player(ShepherdNode):
         ]
 
     def end(self) -> int:
-        """Stop the thread and say what was played and how late."""
+        """Stop the thread, print counts and latencies, and return the exit code."""
         self.stopped.set()
-        self.woken.set()
+        self.wake.set()
         self.thread.join(2.0)
         limit = self.wall() + PLAYER_ACK_TIMEOUT
         for output in self.outputs.values():
@@ -213,11 +217,14 @@ class Player(ShepherdNode):
         if self.failure:
             print(f'player: {self.failure}')
             return 2
-        late = sorted(self.lateness) or [0.0]
-        half, most = late[len(late) // 2], late[min(len(late) - 1, round(0.99 * len(late)))]
+        lateness = sorted(self.lateness) or [0.0]
+        median, p99 = (
+            lateness[len(lateness) // 2],
+            lateness[min(len(lateness) - 1, round(0.99 * len(lateness)))],
+        )
         print(
             f'{self.played} messages of {len(self.names)} topics; '
-            f'late by {half * 1e3:.2f} ms (p50), {most * 1e3:.2f} ms (p99)'
+            f'late by {median * 1e3:.2f} ms (p50), {p99 * 1e3:.2f} ms (p99)'
         )
         return 0
 

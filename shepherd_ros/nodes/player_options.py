@@ -35,7 +35,7 @@ class PlayerOptions:
     """Begin paused."""
 
     def check(self) -> None:
-        """Raise ConfigError for numbers that make no sense."""
+        """Raise ConfigError for numbers out of range."""
         if not 0 < self.rate < math.inf:
             raise ConfigError(f'--rate is {self.rate}: expected a number above 0, such as 1.0')
         for name in ('start_offset', 'until', 'clock', 'wait'):

@@ -1,4 +1,4 @@
-"""Types and quality of service with which recorded topics are played."""
+"""Types and quality of service of recorded topics for playback."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.ros.node import message_type
 from shepherd_ros.rosbag2.bag import Bag
 from shepherd_ros.rosbag2.metadata import TopicInfo
-from shepherd_ros.rosbag2.qos import agreed, duration_ns, history, Qos
+from shepherd_ros.rosbag2.qos import agreed_policy, duration_ns, history, Qos
 from shepherd_ros.wire.contract import installed_hash, text_hash
 
 
@@ -25,7 +25,7 @@ def playable_type(bag: Bag, topic: TopicInfo) -> Any:
         )
     try:
         validate_full_topic_name('/' + topic.name.removeprefix('/'))
-        kind = message_type(topic.type)
+        message_class = message_type(topic.type)
     except InvalidTopicNameException as error:
         raise ConfigError(
             f'{bag.path}: {topic.name!r} is no name of a topic in ROS 2; {fix}'
@@ -35,16 +35,16 @@ def playable_type(bag: Bag, topic: TopicInfo) -> Any:
             f'{bag.path}: {topic.name} has the type {topic.type!r}, which is not '
             f'installed; install its package or {fix}'
         ) from error
-    mine = installed_hash(topic.type)
+    installed = installed_hash(topic.type)
     for name, encoding, text in bag.definitions[topic.name]:
         parsed = text_hash(name, text.decode(errors='replace')) if encoding == 'ros2msg' else ''
-        theirs = parsed or topic.type_hash
-        if name != topic.type or (mine and theirs and mine != theirs):
+        recorded = parsed or topic.type_hash
+        if name != topic.type or (installed and recorded and installed != recorded):
             raise ConfigError(
                 f'{bag.path}: {topic.name} was recorded with another {name!r} than the '
                 f'{topic.type!r} that is installed; install that package or {fix}'
             )
-    return kind
+    return message_class
 
 
 def recorded_quality(qos: tuple[Qos, ...]) -> QoSProfile:
@@ -52,10 +52,10 @@ def recorded_quality(qos: tuple[Qos, ...]) -> QoSProfile:
     best_effort = bool(qos) and all(q.reliability == 'best_effort' for q in qos)
     latched = history(qos)
     durations = {
-        name: Duration(nanoseconds=duration_ns(agreed(qos, name)))
+        name: Duration(nanoseconds=duration_ns(agreed_policy(qos, name)))
         for name in ('deadline', 'lifespan', 'liveliness_lease_duration')
     }
-    by_topic = agreed(qos, 'liveliness') == 'manual_by_topic'
+    by_topic = agreed_policy(qos, 'liveliness') == 'manual_by_topic'
     return QoSProfile(
         depth=latched or max([q.depth for q in qos] or [0]) or 100,
         reliability=(ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE),

@@ -10,9 +10,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers.policy_controller import (
-    action_draws,
     LearnedConfig,
     require_same_world,
+    sample_noise,
 )
 from shepherd_ros.nodes.mux_parameters import declare_source
 from shepherd_ros.policy import inference
@@ -31,24 +31,24 @@ from shepherd_ros.wire.episode import Episode
 import torch
 from torch import Tensor
 
-ALL = -1  # in shepherd_ids
+_ALL = -1  # in shepherd_ids
 LATENCY_WINDOW = 1000  # last answers whose latency is kept
-CHANNEL_CHECK_DELAY = 1.0  # [s] without a whole scan until it is asked which channels there are
+CHANNEL_CHECK_DELAY = 1.0  # [s] without a complete scan until the publishers are checked
 
 
 class PolicyNode(ShepherdNode):
-    """Answers the scans of its shepherds, all in one batch, with a velocity for each."""
+    """Publishes a velocity for each of its shepherds from their scans, all in one batch."""
 
     def __init__(self, **kwargs: Any) -> None:
-        """Load the checkpoint and wait for an episode that it fits."""
+        """Load the checkpoint and subscribe to the episode."""
         super().__init__('policy', **kwargs)
         torch.set_num_threads(1)
         self.options = declare_config(self, LearnedConfig())
         self.shepherd_ids: list[int] = self.option(
-            'shepherd_ids', [ALL], 'shepherds to command, each by its own scans; [-1]: all'
+            'shepherd_ids', [_ALL], 'shepherds to command, each by its own scans; [-1]: all'
         )
         ids = self.shepherd_ids
-        if ids != [ALL] and (min(ids) < 0 or len(set(ids)) < len(ids)):
+        if ids != [_ALL] and (min(ids) < 0 or len(set(ids)) < len(ids)):
             raise ConfigError(
                 f'shepherd_ids is {ids}: expected each shepherd once, counted from 0, such as '
                 '[0, 1, 2], or [-1] for all'
@@ -67,48 +67,48 @@ class PolicyNode(ShepherdNode):
         self.episode: Episode | None = None
         self.max_speed = 0.0  # [m/s]
         self.present: list[int] = []
-        self.refused = ''
-        self.absent: list[str] = []  # scans that no lidar publishes
+        self.refusal = ''
+        self.silent: list[str] = []  # scans that no lidar publishes
         self.memory: PolicyMemory = {}
-        self.newest = torch.empty(0)  # last ranges (H, C, R) m of those present
+        self.last_ranges = torch.empty(0)  # last ranges (H, C, R) m of those present
         self.last: tuple[int, Tensor] | None = None
-        self.heard = self.wall()
+        self.last_scan_time = self.wall()
         self.stale = False
-        self.lacking: list[str] = []  # scans that do not come, and who publishes them
+        self.missing_scans: list[str] = []  # scans that do not come, and who publishes them
         self.answers = 0
         self.latency: deque[float] = deque(maxlen=LATENCY_WINDOW)  # [s]
         self.outputs: dict[int, Output] = {}
         self.scans = ScanListener(self, self.policy.config.lidar, self.on_scans)
         self._warm_up()
         listen_to_episodes(self, self._begin)
-        self.timer(0.1, self._watch)
+        self.timer(0.1, self._check_scans)
 
     def _warm_up(self) -> None:
-        """Answer once what nobody asked, as a first answer takes most of a second."""
+        """Run inference once, as its first call takes most of a second."""
         team = len(self.shepherd_ids)  # another team's first answer takes no longer
         ranges = torch.full((team, *self.policy.config.lidar.layout.shape), torch.inf)
         ranges[..., ::2] = 5.0
-        there = torch.ones(team, dtype=torch.bool)
+        has_scan = torch.ones(team, dtype=torch.bool)
         inference.act(
-            self.policy, lambda: ranges, there, inference.begin(self.policy, (), team), 1.0
+            self.policy, lambda: ranges, has_scan, inference.begin(self.policy, (), team), 1.0
         )
 
     def _begin(self, episode: Episode, world: WorldConfig) -> None:
-        """Start an episode with empty stacks, or refuse it."""
+        """Start an episode with an empty memory, or refuse it."""
         self.episode, self.max_speed = episode, world.shepherd_speed
-        self.last, self.refused = None, ''
-        team = range(episode.n_shepherds) if self.shepherd_ids == [ALL] else self.shepherd_ids
+        self.last, self.refusal = None, ''
+        team = range(episode.n_shepherds) if self.shepherd_ids == [_ALL] else self.shepherd_ids
         self.present = [h for h in team if h < episode.n_shepherds]
-        strangers = sorted(set(team) - set(self.present))
-        if strangers:
+        unknown = sorted(set(team) - set(self.present))
+        if unknown:
             self.get_logger().error(
-                f'shepherd_ids has {strangers}: expected 0 to {episode.n_shepherds - 1}, as this '
+                f'shepherd_ids has {unknown}: expected 0 to {episode.n_shepherds - 1}, as this '
                 'episode has no others; they get no commands'
             )
         try:
             require_same_world(self.policy, world)
         except ConfigError as error:
-            self.refused, self.present = str(error), []
+            self.refusal, self.present = str(error), []
             self.get_logger().error(f'this episode is not driven: {error}')
         for h in [h for h in self.outputs if h not in self.present]:
             self.destroy_publisher(self.outputs.pop(h))
@@ -118,8 +118,13 @@ class PolicyNode(ShepherdNode):
         self.scans.listen_to(self.present)
 
     def on_scans(self, ns: int, ranges: dict[int, np.ndarray]) -> None:
-        """Answer the scans of a stamp; the same stamp again gets the same answer."""
-        begun, self.heard, self.stale, self.lacking = perf_counter(), self.wall(), False, []
+        """Publish the commands for the scans of a stamp; the same again for a repeated stamp."""
+        started, self.last_scan_time, self.stale, self.missing_scans = (
+            perf_counter(),
+            self.wall(),
+            False,
+            [],
+        )
         episode = self.episode
         if episode is None or not episode.has(ns):
             return
@@ -127,83 +132,83 @@ class PolicyNode(ShepherdNode):
             if self.last is None or ns < self.last[0]:
                 self.memory = inference.begin(self.policy, (), len(self.present))
                 shape = (len(self.present), *self.policy.config.lidar.layout.shape)
-                self.newest = torch.full(shape, torch.inf)
+                self.last_ranges = torch.full(shape, torch.inf)
             self.last = (ns, self._decide(ns, ranges, episode))
         self._publish(*self.last)
         self.answers += 1
-        self.latency.append(perf_counter() - begun)
+        self.latency.append(perf_counter() - started)
 
     def _decide(self, ns: int, ranges: dict[int, np.ndarray], episode: Episode) -> Tensor:
-        """Return velocities (H, 2) m/s, zero for those whose scans are not all there."""
-        there = torch.tensor([h in ranges for h in self.present])
-        newest = self.newest.clone()  # what was seen before stands in for what is missing
+        """Return velocities (H, 2) m/s, zero for shepherds without all of their scans."""
+        has_scan = torch.tensor([h in ranges for h in self.present])
+        newest = self.last_ranges.clone()  # what was seen before stands in for what is missing
         for i, h in enumerate(self.present):
             if h in ranges:
                 newest[i] = torch.from_numpy(ranges[h])
 
         def draws() -> Tensor:
             seed, step = torch.tensor(episode.seed), torch.tensor(episode.step_of(ns))
-            return action_draws(seed, step, episode.n_shepherds)[self.present]
+            return sample_noise(seed, step, episode.n_shepherds)[self.present]
 
-        self.newest = newest
+        self.last_ranges = newest
         command, self.memory = inference.act(
             self.policy,
             lambda: newest,
-            torch.ones_like(there),
+            torch.ones_like(has_scan),
             self.memory,
             self.max_speed,
             draws if self.options.sample else None,
         )
-        return torch.where(there[:, None], command, 0.0)
+        return torch.where(has_scan[:, None], command, 0.0)
 
     def _publish(self, ns: int, command: Tensor) -> None:
         for h, (x, y) in zip(self.present, command.tolist(), strict=True):
             stamped = encode_command(ns, self.frame_id, x, y)
             self.outputs[h].publish(stamped if self.stamped else encode_twist(x, y))
 
-    def _watch(self) -> None:
-        """Tell of channels that do not exist; in real time, stop the shepherds without scans."""
-        silent = self.wall() - self.heard > CHANNEL_CHECK_DELAY
-        self.absent = self.scans.unpublished() if silent else []
-        if self.absent:
+    def _check_scans(self) -> None:
+        """Log channels without publisher; in real time, stop the shepherds without scans."""
+        silent = self.wall() - self.last_scan_time > CHANNEL_CHECK_DELAY
+        self.silent = self.scans.unpublished() if silent else []
+        if self.silent:
             self.get_logger().error(
-                f'no lidar publishes {", ".join(self.absent)}, which the checkpoint needs: start '
+                f'no lidar publishes {", ".join(self.silent)}, which the checkpoint needs: start '
                 'it with the option others, or choose another checkpoint',
                 throttle_duration_sec=SCAN_WARNING_PERIOD,
             )
         episode, last = self.episode, self.last
-        if episode is None or self.refused:
+        if episode is None or self.refusal:
             return
-        self._name_lacking()
+        self._report_missing()
         if episode.mode == 'lockstep' or last is None or self.stale:
             return
-        if self.wall() - self.heard > self.stale_after:
+        if self.wall() - self.last_scan_time > self.stale_after:
             self.stale = True
             self.get_logger().warning(
                 f'no scans for {self.stale_after} s: commanding zero until they come again'
             )
             self._publish(last[0], torch.zeros_like(last[1]))
 
-    def _name_lacking(self) -> None:
-        """Name scans that do not come and who publishes them, again if that changes."""
-        if self.wall() - self.heard < max(self.stale_after, LOCKSTEP_SILENCE_TIMEOUT):
+    def _report_missing(self) -> None:
+        """Log the missing scans with their publishers, again if that changes."""
+        if self.wall() - self.last_scan_time < max(self.stale_after, LOCKSTEP_SILENCE_TIMEOUT):
             return
-        lacking = [self.sourced(name) for name in self.scans.lacking()]
-        if lacking != self.lacking:
-            self.lacking = lacking
-            self.get_logger().warning(f'waiting for {", ".join(lacking)}: no scans come')
+        missing = [self.sourced(name) for name in self.scans.missing_scans()]
+        if missing != self.missing_scans:
+            self.missing_scans = missing
+            self.get_logger().warning(f'waiting for {", ".join(missing)}: no scans come')
 
     def diagnose(self) -> list[DiagnosticStatus]:
-        """Return whether it drives, how long an answer takes, and what was wrong with scans."""
+        """Return the status of the policy: activity, latency and faults of scans."""
         level, message = OK, 'commanding'
-        if self.refused:
-            level, message = ERROR, f'checkpoint does not fit: {self.refused}'
-        elif self.absent:
-            level, message = ERROR, f'no lidar publishes {", ".join(self.absent)}'
+        if self.refusal:
+            level, message = ERROR, f'checkpoint does not fit: {self.refusal}'
+        elif self.silent:
+            level, message = ERROR, f'no lidar publishes {", ".join(self.silent)}'
         elif self.stale:
             level, message = WARN, 'scans have stopped: commanding zero'
-        elif self.lacking:
-            level, message = WARN, f'waiting for {", ".join(self.lacking)}'
+        elif self.missing_scans:
+            level, message = WARN, f'waiting for {", ".join(self.missing_scans)}'
         elif self.last is None:
             level, message = WARN, 'no scans heard yet'
         elif self.scans.faults:

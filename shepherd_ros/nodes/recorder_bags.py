@@ -16,7 +16,7 @@ from shepherd_ros.rosbag2.metadata import DISTRO
 
 class RecorderBags:
     """
-    Writes messages into the bag that is open, each bag beginning with all that is latched.
+    Writes messages into the open bag; each bag begins with all latched messages.
 
     Any method may raise BagError or OSError.
     """
@@ -25,65 +25,73 @@ class RecorderBags:
         self,
         folder: Path,
         options: RecorderOptions,
-        intake: RecorderSubscriptions,
-        wanted: Callable[[str], bool],
+        subscriptions: RecorderSubscriptions,
+        accepts: Callable[[str], bool],
     ) -> None:
-        """Open nothing yet."""
+        """Start without an open bag."""
         self.folder, self.options = folder, options
-        self.intake, self.losses, self.wanted = intake, intake.losses, wanted
+        self.subscriptions, self.losses, self.accepts = (
+            subscriptions,
+            subscriptions.losses,
+            accepts,
+        )
         self.writer: RecordingWriter | None = None
-        self.announced: set[str] = set()  # topics in the bag that is open
-        self.lost_before: Counter[str] = Counter()  # when it was opened
+        self.topics: set[str] = set()  # topics in the bag that is open
+        self.lost_at_open: Counter[str] = Counter()  # when it was opened
         # the last message of each publisher of a latched topic
         self.latched: defaultdict[str, dict[int, bytes]] = defaultdict(dict)
-        self.parts = self.written = self.safe = 0
+        self.parts = self.written = self.on_disk = 0
         self.written_before = 0  # in the bags that are closed
 
     def latch(self, name: str, sender: int, raw: bytes) -> None:
-        """Keep a message for the bags that follow, instead of the sender's one before it."""
+        """Keep the last latched message of a sender for the next bags."""
         last = self.latched[name]
         last.pop(sender, None)
         last[sender] = raw
         while len(last) > max(len(self.losses.publishers(name)), 1):
             del last[next(iter(last))]  # of a publisher that is gone
 
-    def write(self, name: str, raw: bytes, log_ns: int, publish_ns: int, coming: set[int]) -> None:
-        """Write one message; the first opens a bag. coming: ids of latched ones that follow."""
+    def write(
+        self, name: str, raw: bytes, log_ns: int, publish_ns: int, pending: set[int]
+    ) -> None:
+        """Write a message; the first opens a bag. pending: ids of latched ones that follow."""
         if self.writer is None:
             self.writer = self._open()
             for topic, last in self.latched.items():
-                for content in last.values() if self.wanted(topic) else ():
-                    if content is not raw and id(content) not in coming:
-                        self._put(self.writer, topic, content, log_ns, publish_ns)
-        self._put(self.writer, name, raw, log_ns, publish_ns)
+                for content in last.values() if self.accepts(topic) else ():
+                    if content is not raw and id(content) not in pending:
+                        self._write(self.writer, topic, content, log_ns, publish_ns)
+        self._write(self.writer, name, raw, log_ns, publish_ns)
 
     def flush(self) -> None:
-        """Put what was written so far on the disk, with what was lost."""
+        """Flush the messages so far to the disk, with the counts of losses."""
         if self.writer is not None:
-            self._note_losses(self.writer)
+            self._store_losses(self.writer)
             self.writer.flush()
-            self.safe = self.written
+            self.on_disk = self.written
 
     def close(self) -> None:
-        """Finish the bag that is open."""
+        """Finish the open bag."""
         if self.writer is not None:
-            self._note_losses(self.writer)
+            self._store_losses(self.writer)
             self.writer.close()
-            self.safe = self.written
+            self.on_disk = self.written
             self.writer = None
 
-    def count_kept(self) -> None:
-        """Count what is on the disk, after an error of writing."""
+    def count_on_disk(self) -> None:
+        """Count the messages on the disk, after an error of writing."""
         if self.writer is not None:
-            kept = self.writer.metadata().topics
-            self.written = self.safe = self.written_before + sum(topic.count for topic in kept)
+            topics_on_disk = self.writer.metadata().topics
+            self.written = self.on_disk = self.written_before + sum(
+                topic.count for topic in topics_on_disk
+            )
 
-    def _put(
+    def _write(
         self, writer: RecordingWriter, name: str, raw: bytes, log_ns: int, publish_ns: int
     ) -> None:
-        if name not in self.announced:
-            writer.add_topic(name, **self.intake.described(name))
-            self.announced.add(name)
+        if name not in self.topics:
+            writer.add_topic(name, **self.subscriptions.described(name))
+            self.topics.add(name)
         writer.write(name, raw, log_ns, publish_ns)
         self.written += 1
 
@@ -94,8 +102,8 @@ class RecorderBags:
             self.folder.mkdir(parents=True, exist_ok=True)
             folder = self.folder / f'episode_{self.parts:04d}'
         self.parts, self.written_before = self.parts + 1, self.written
-        self.lost_before = self.losses.by_topic()
-        self.announced.clear()
+        self.lost_at_open = self.losses.by_topic()
+        self.topics.clear()
         return RecordingWriter(
             folder,
             compression=self.options.compression,
@@ -104,6 +112,6 @@ class RecorderBags:
             distro=os.environ.get('ROS_DISTRO', DISTRO),
         )
 
-    def _note_losses(self, writer: RecordingWriter) -> None:
-        lost = self.losses.by_topic() - self.lost_before
+    def _store_losses(self, writer: RecordingWriter) -> None:
+        lost = self.losses.by_topic() - self.lost_at_open
         writer.custom_data[LOST_KEY] = json.dumps(lost, sort_keys=True)

@@ -1,4 +1,4 @@
-"""The recorder node: topics as they are on the wire into a rosbag2 directory."""
+"""The recorder node: it writes the bytes of topics into a rosbag2 directory."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from shepherd_ros.wire.episode import Episode
 from shepherd_ros.wire.topics import CLOCK, EPISODE, GOAL
 from std_srvs.srv import Trigger
 
-TAKE_PERIOD = 0.02  # [s] between two looks for messages
+POLL_PERIOD = 0.02  # [s] between two looks for messages
 GRAPH_PERIOD = 0.1  # [s] between two looks for new topics
 FLUSH_PERIOD = 1.0  # [s] of messages that a crash may cost at most
 RECORDER_ACK_TIMEOUT = (
@@ -36,10 +36,10 @@ EXIT_LOSSY = 1  # exit code of a bag that is not whole
 
 class Recorder(ShepherdNode):
     """
-    Writes every message it gets.
+    Writes every message that it receives.
 
-    Messages are taken in batches, many times a second: that costs less than a callback for each,
-    and they go into the bag in the order in which they came, whatever their topics.
+    Messages are polled in batches, many times a second: that costs less than a callback for each,
+    and they go into the bag in their order of arrival over all topics.
     """
 
     def __init__(self, options: RecorderOptions, **kwargs: Any) -> None:
@@ -50,110 +50,110 @@ class Recorder(ShepherdNode):
             self.folder.mkdir(parents=True)
             self.folder.rmdir()
         except OSError as error:
-            there = isinstance(error, FileExistsError)
-            what = 'it exists already' if there else f'it cannot be created ({error.strerror})'
-            raise BagError(self.folder, what, 'choose another folder with --output') from error
+            exists = isinstance(error, FileExistsError)
+            reason = 'it exists already' if exists else f'it cannot be created ({error.strerror})'
+            raise BagError(self.folder, reason, 'choose another folder with --output') from error
         super().__init__('recorder', **kwargs)
         self.executor_kind = 'single'  # it only sees timers and services
         self.options = options
-        self.wanted = options.wish(self.resolve_topic_name)
+        self.wanted = options.topic_filter(self.resolve_topic_name)
         self.recording = not options.start_paused
-        self.begun = False  # whether the bag that is open tells of an episode
+        self.episode_open = False  # whether the bag that is open tells of an episode
         self.failure = ''
         self.clock_ns: int | None = None
         self.dt_ns = 0  # between two states
-        self.early: list[Row] = []  # what came before the simulated clock
-        self.rate_of = (self.wall(), 0)  # when and how many messages at the last report
+        self.waiting: list[Row] = []  # what came before the simulated clock
+        self.last_report = (self.wall(), 0)  # when and how many messages at the last report
         wait = EPISODE_WAIT if options.per_episode else 0.0
-        self.intake = RecorderSubscriptions(self, self._heard, self._refuse, wait)
-        self.losses = self.intake.losses
-        self.bags = RecorderBags(self.folder, options, self.intake, self.wanted)
+        self.subscribed = RecorderSubscriptions(self, self._subscribes_to, self._refuse, wait)
+        self.losses = self.subscribed.losses
+        self.bags = RecorderBags(self.folder, options, self.subscribed, self.wanted)
         self.create_service(Trigger, '~/start', self._server(True))
         self.create_service(Trigger, '~/stop', self._server(False))
-        self.timer(TAKE_PERIOD, self.take)
-        self.timer(GRAPH_PERIOD, self.intake.look)
+        self.timer(POLL_PERIOD, self.poll_messages)
+        self.timer(GRAPH_PERIOD, self.subscribed.look)
         self.timer(FLUSH_PERIOD, self.flush)
         self.get_logger().info(f'listening for topics that go into {self.folder}')
 
-    def _heard(self, name: str) -> bool:
-        """Return whether to listen to a topic."""
+    def _subscribes_to(self, name: str) -> bool:
+        """Return whether to subscribe to a topic."""
         return self.wanted(name) or (self.options.use_sim_time and name == CLOCK)
 
-    def _refuse(self, why: str) -> None:
-        self.failure = self.failure or why
-        self.get_logger().error(why)
+    def _refuse(self, reason: str) -> None:
+        self.failure = self.failure or reason
+        self.get_logger().error(reason)
 
     # ---- messages ----
 
-    def take(self, everything: bool = False) -> None:
-        """Take the messages that have arrived."""
-        for name, raw, info in self.intake.take(everything):
+    def poll_messages(self, everything: bool = False) -> None:
+        """Handle the messages that have arrived."""
+        for name, raw, info in self.subscribed.poll_messages(everything):
             self.receive(name, raw, info)
 
     def receive(self, name: str, raw: bytes, info: dict[str, int]) -> None:
-        """Take a message of a topic with its times and its number."""
-        ours = known(name)
+        """Handle a message of a topic with its times and its number."""
+        entry = known(name)
         number = info.get('publication_sequence_number')
-        sender = self.losses.heard(name, number, self._stamp(name, ours, raw), self.dt_ns)
-        if ours is not None and ours.topic.name == EPISODE:
-            self._next_episode(ours.namespace, raw)
+        sender = self.losses.count_message(name, number, self._stamp(name, entry, raw), self.dt_ns)
+        if entry is not None and entry.topic.name == EPISODE:
+            self._next_episode(entry.namespace, raw)
         if name == CLOCK:
             with suppress(CdrError):
                 self.clock_ns = max(decode_clock(raw), 0)
-                for row in self.early:
+                for row in self.waiting:
                     self._record(*row)
-                self.early.clear()
-        if self.intake.inputs[name].latched:
+                self.waiting.clear()
+        if self.subscribed.inputs[name].latched:
             self.bags.latch(name, sender, raw)
         if self.recording and self.wanted(name):
             self._record(name, raw, info)
 
-    def _stamp(self, name: str, ours: KnownTopic | None, raw: bytes) -> int | None:
-        """Return the stamp [ns] of a message that is the same whenever it comes again."""
-        if ours is None or ours.topic.profile not in REPEATED or ours.topic.publisher == USER:
+    def _stamp(self, name: str, entry: KnownTopic | None, raw: bytes) -> int | None:
+        """Return the stamp [ns] of a message that flock_sim may repeat, None for others."""
+        if entry is None or entry.topic.profile not in REPEATED or entry.topic.publisher == USER:
             return None
         with suppress(CdrError):
-            if self.intake.inputs[name].kind == ours.topic.type:
+            if self.subscribed.inputs[name].kind == entry.topic.type:
                 return decode_stamp(raw)
         return None
 
     def _record(self, name: str, raw: bytes, info: dict[str, int]) -> None:
-        """Write a message; with simulated time it waits for the first of the clock."""
+        """Write a message; with simulated time it waits for the first /clock."""
         received: int | None = info['received_timestamp']
         if self.options.use_sim_time:
             received = self.clock_ns
         if received is not None:
-            coming = {id(row[1]) for row in self.early}
+            pending_ids = {id(row[1]) for row in self.waiting}
             try:
                 publish_ns = info['source_timestamp'] or received
-                self.bags.write(name, raw, received, publish_ns, coming)
+                self.bags.write(name, raw, received, publish_ns, pending_ids)
             except (BagError, OSError) as error:
                 self._fail(error)
-        elif len(self.early) < QUEUE_DEPTH:
-            self.early.append((name, raw, info))
+        elif len(self.waiting) < QUEUE_DEPTH:
+            self.waiting.append((name, raw, info))
         else:
             self.losses.dropped(name, 1)
 
     def _next_episode(self, namespace: str, raw: bytes) -> None:
-        """Expect the topics of an episode; begin its bag if each has its own."""
+        """Subscribe to the topics of an episode; begin its bag if each has its own."""
         with suppress(ValueError):
             episode = Episode.from_json(decode_string(raw))
             self.dt_ns = episode.dt_ns
-            self.intake.expect(namespace, episode.n_shepherds)
-        told = self.bags.latched[f'{namespace}/{EPISODE}'].values()
-        again = raw in told  # to those who were silent
-        if self.recording and self.options.per_episode and not (again and self.begun):
-            if self.begun:
+            self.subscribed.expect(namespace, episode.n_shepherds)
+        latched = self.bags.latched[f'{namespace}/{EPISODE}'].values()
+        repeated = raw in latched  # to those who were silent
+        if self.recording and self.options.per_episode and not (repeated and self.episode_open):
+            if self.episode_open:
                 self.bags.close()
                 self.bags.latched.pop(f'{namespace}/{GOAL}', None)  # another one follows
-            self.begun = True
+            self.episode_open = True
 
     # ---- the bag ----
 
     def flush(self) -> None:
-        """Put what was taken so far on the disk, with what was lost."""
-        self.take()
-        self.intake.group.open = True  # until the next take()
+        """Flush the messages so far to the disk, with the counts of losses."""
+        self.poll_messages()
+        self.subscribed.group.open = True  # until the next poll_messages()
         if not self.failure:
             try:
                 self.bags.flush()
@@ -161,9 +161,9 @@ class Recorder(ShepherdNode):
                 self._fail(error)
 
     def _fail(self, error: BagError | OSError) -> None:
-        """End with an error, which everybody is told of."""
+        """End with an error, and publish it on /diagnostics."""
         self.failure = str(error)
-        self.bags.count_kept()
+        self.bags.count_on_disk()
         self.get_logger().error(self.failure)
         self.recording, self.finished = False, True
         self.publish_diagnostics()
@@ -172,7 +172,7 @@ class Recorder(ShepherdNode):
         """Return the callback of ~/start or ~/stop."""
 
         def serve(request: Any, response: Any) -> Any:
-            self.take(everything=True)  # that came before
+            self.poll_messages(everything=True)  # that came before
             response.success = self.recording != start and not self.failure
             state = 'recording' if start else 'stopped'
             response.message = state if response.success else self.failure or f'already {state}'
@@ -185,22 +185,20 @@ class Recorder(ShepherdNode):
     # ---- the end ----
 
     def end(self) -> int:
-        """Close the bag, say what is in it and what is not, and return the exit code."""
+        """Close the bag, print counts and losses, and return the exit code."""
         try:
-            self.take(everything=True)  # it came before the end, too
+            self.poll_messages(everything=True)  # it came before the end, too
             self.bags.close()
         except BagError as error:
             self._fail(error)
-        if self.early:
+        if self.waiting:
             self.failure = self.failure or (
-                f'{len(self.early)} messages came and no {CLOCK}, which --use-sim-time needs'
+                f'{len(self.waiting)} messages came and no {CLOCK}, which --use-sim-time needs'
             )
         if self.failure:
             self._diagnostics.wait_for_all_acked(Duration(seconds=RECORDER_ACK_TIMEOUT))
         lost = self.losses.report()
-        print(
-            f'{self.bags.written} messages of {len(self.bags.announced)} topics in {self.folder}'
-        )
+        print(f'{self.bags.written} messages of {len(self.bags.topics)} topics in {self.folder}')
         for line in lost:
             print(f'lost: {line}')
         for name, count in self.losses.earlier().items():
@@ -212,11 +210,11 @@ class Recorder(ShepherdNode):
         return 0 if whole else EXIT_LOSSY
 
     def diagnose(self) -> list[DiagnosticStatus]:
-        """Return whether everything heard is in the bag, and how fast it comes."""
+        """Return the status of the recording: failures, losses and the rate of messages."""
         by_topic = self.losses.by_topic()
-        now, (then, before) = self.wall(), self.rate_of
-        rate = (self.bags.written - before) / max(now - then, 1e-3)
-        self.rate_of = now, self.bags.written
+        now, (then, written_before) = self.wall(), self.last_report
+        rate = (self.bags.written - written_before) / max(now - then, 1e-3)
+        self.last_report = now, self.bags.written
         level, message = OK, 'recording' if self.recording else 'stopped'
         if self.failure:
             level, message = ERROR, self.failure
@@ -225,8 +223,8 @@ class Recorder(ShepherdNode):
         return [
             self.status(
                 'recorder', level, message,
-                bag=self.folder, messages=self.bags.written, on_disk=self.bags.safe,
-                rate=round(rate, 1), topics=len(self.bags.announced), lost=by_topic.total(),
+                bag=self.folder, messages=self.bags.written, on_disk=self.bags.on_disk,
+                rate=round(rate, 1), topics=len(self.bags.topics), lost=by_topic.total(),
                 **{f'lost {name}': count for name, count in by_topic.items()},
             )
         ]  # fmt: skip

@@ -53,7 +53,7 @@ class RecorderOptions:
     """Log times are those of /clock."""
 
     def check(self) -> None:
-        """Raise ConfigError for numbers and names that make no sense."""
+        """Raise ConfigError for numbers out of range and invalid names."""
         if not (self.max_bag_size >= 0 and self.max_bag_duration >= 0):
             values = f'--max-bag-size is {self.max_bag_size}, -duration {self.max_bag_duration}'
             raise ConfigError(f'{values}: expected 0 (never) or more')
@@ -69,22 +69,22 @@ class RecorderOptions:
                     ) from None
 
     def pattern(self, name: str) -> re.Pattern[str] | None:
-        """Return a compiled expression, None if there is none; ConfigError for a bad one."""
+        """Return a compiled expression, None for ''; raises ConfigError for a bad one."""
         text = getattr(self, name)
         try:
             return re.compile(text) if text else None
         except re.error as error:
-            what = f'--{name} is {text!r}: expected a regular expression'
-            raise ConfigError(f'{what} ({error})') from None
+            reason = f'--{name} is {text!r}: expected a regular expression'
+            raise ConfigError(f'{reason} ({error})') from None
 
-    def wish(self, resolve: Callable[[str], str]) -> Callable[[str], bool]:
+    def topic_filter(self, resolve: Callable[[str], str]) -> Callable[[str], bool]:
         """Return the filter of full topic names; resolve(name) completes a relative one."""
         regex, exclude = self.pattern('regex'), self.pattern('exclude')
         names = {resolve(name) for name in self.topics}
         services = {resolve(name) for name in self.services}
         contract_too = not (names or services or regex or self.all or self.all_services)
 
-        def wanted(name: str) -> bool:
+        def accepts(name: str) -> bool:
             if exclude is not None and exclude.search(name):
                 return False
             service = name.removesuffix(SERVICE_EVENT_SUFFIX)
@@ -95,4 +95,4 @@ class RecorderOptions:
                 return False
             return matched or name in names or (contract_too and known(name) is not None)
 
-        return wanted
+        return accepts

@@ -68,7 +68,7 @@ class RecorderSubscriptions:
 
     # ---- messages ----
 
-    def take(self, everything: bool = False) -> list[Row]:
+    def poll_messages(self, everything: bool = False) -> list[Row]:
         """Return the messages so far, in order; everything: also those that may be overtaken."""
         self.group.open = False
         now, rows = time.time_ns() - self.wait_ns, self.kept
@@ -148,7 +148,7 @@ class RecorderSubscriptions:
             nested_text(kind, installed_text)  # raises FileNotFoundError
         before = self.inputs.get(name)
         if before is not None:
-            self.kept = self.take(everything=True)
+            self.kept = self.poll_messages(everything=True)
             self.node.destroy_subscription(before.subscription)
         subscription = self.node.create_subscription(
             message,

@@ -1,4 +1,4 @@
-"""A node that asks a running world from a command line."""
+"""A node that controls a running world from a command line."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from shepherd_ros.wire.topics import EPISODE, row_of, SHEPHERD
 from std_srvs.srv import SetBool, Trigger
 
 _WORLD = 'flock_sim'
-DISCOVERY = 5.0  # [s] in which a world is found, or is not there
-REPORT = 1.5  # [s] in which every node reports on /diagnostics
+DISCOVERY_TIMEOUT = 5.0  # [s] in which a world is found, or is not there
+REPORT_TIMEOUT = 1.5  # [s] in which every node reports on /diagnostics
 LEVELS = {
     DiagnosticStatus.OK: 'OK',
     DiagnosticStatus.WARN: 'WARN',
@@ -34,7 +34,7 @@ LEVELS = {
 
 
 class WorldClient(Node):
-    """Calls what flock_sim of a namespace offers; ConfigError where none answers."""
+    """Calls the services of flock_sim in a namespace; ConfigError if there is none."""
 
     def reset(self, seed: int | None) -> str:
         """Begin the next episode, with a seed if one is given; return its description."""
@@ -43,7 +43,7 @@ class WorldClient(Node):
         return self._call('reset', Trigger, Trigger.Request()).message
 
     def step(self, n: int) -> str:
-        """Make n steps, then pause."""
+        """Make n steps, then pause; return a message."""
         self._set('step_size', n)
         return self._call('step', Trigger, Trigger.Request()).message
 
@@ -68,20 +68,20 @@ class WorldClient(Node):
             if AUTO in known:
                 raise unknown_name(f'source in {room}', asked, known)
             raise ConfigError(
-                f'no {place}{asked} was found within {DISCOVERY:g} s: expected a mux that runs; '
-                'start one, such as with mux:=true of simulate.launch.py, and check the shepherd, '
-                '--namespace and ROS_DOMAIN_ID'
+                f'no {place}{asked} was found within {DISCOVERY_TIMEOUT:g} s: expected a mux that '
+                'runs; start one, such as with mux:=true of simulate.launch.py, and check the '
+                'shepherd, --namespace and ROS_DOMAIN_ID'
             )
         if not response.success:
             raise ConfigError(response.message)
         return str(response.message)
 
     def pause(self, paused: bool) -> str:
-        """Pause, or go on."""
+        """Pause, or go on; return the state."""
         return self._call('pause', SetBool, SetBool.Request(data=paused)).message
 
     def move_goal(self, x: float, y: float) -> str:
-        """Move the goal to x, y [m]."""
+        """Move the goal to x, y [m]; return a message."""
         request = GetParameters.Request(names=['frame_id'])
         (frame,) = self._call('get_parameters', GetParameters, request).values
         pose = PoseStamped()
@@ -89,26 +89,26 @@ class WorldClient(Node):
         pose.pose.position.x, pose.pose.position.y = x, y
         pose.pose.orientation.w = 1.0
         publisher = self.create_publisher(PoseStamped, 'goal_pose', quality('goal_pose'))
-        limit = time.monotonic() + DISCOVERY
+        limit = time.monotonic() + DISCOVERY_TIMEOUT
         while not publisher.get_subscription_count():
             if time.monotonic() > limit:
-                raise self._nobody()
+                raise self._not_found()
             time.sleep(0.02)
         publisher.publish(pose)
-        publisher.wait_for_all_acked(Duration(seconds=DISCOVERY))
+        publisher.wait_for_all_acked(Duration(seconds=DISCOVERY_TIMEOUT))
         return f'goal moves to {x:g}, {y:g} m'
 
     def status(self) -> list[str]:
         """Return a line for the episode and one for each part of every node that reports."""
-        found: dict[str, str] = {}
+        lines: dict[str, str] = {}
 
         def on_report(report: DiagnosticArray) -> None:
             for s in report.status:
-                found[s.name] = f'{LEVELS.get(s.level, "?"):5}  {s.name}: {s.message}'
+                lines[s.name] = f'{LEVELS.get(s.level, "?"):5}  {s.name}: {s.message}'
 
         def on_episode(message: Any) -> None:
             e = Episode.from_json(message.data)
-            found[''] = (
+            lines[''] = (
                 f'episode {e.number}, seed {e.seed}: {e.n_sheep} sheep, {e.n_shepherds} '
                 f'shepherds, {e.mode}'
             )
@@ -116,18 +116,18 @@ class WorldClient(Node):
         kind = message_type(row_of(EPISODE).type)
         self.create_subscription(DiagnosticArray, '/diagnostics', on_report, 100)
         self.create_subscription(kind, EPISODE, on_episode, quality(EPISODE, subscribe=True))
-        limit = time.monotonic() + DISCOVERY
+        limit = time.monotonic() + DISCOVERY_TIMEOUT
         while time.monotonic() < limit:
             rclpy.spin_once(self, timeout_sec=0.1)
-            if found and limit > time.monotonic() + REPORT:
-                limit = time.monotonic() + REPORT
-        if not found:
-            raise self._nobody()
-        return [found[name] for name in sorted(found)]
+            if lines and limit > time.monotonic() + REPORT_TIMEOUT:
+                limit = time.monotonic() + REPORT_TIMEOUT
+        if not lines:
+            raise self._not_found()
+        return [lines[name] for name in sorted(lines)]
 
     def nodes(self) -> list[str]:
         """Return the full names of the nodes that run."""
-        known, limit = set[str](), time.monotonic() + REPORT
+        known, limit = set[str](), time.monotonic() + REPORT_TIMEOUT
         while time.monotonic() < limit:
             names = self.get_node_names_and_namespaces()
             known = {f'{space.rstrip("/")}/{name}' for name, space in names}
@@ -147,32 +147,33 @@ class WorldClient(Node):
         """Return what a service of the world answers."""
         response = self._ask(f'{_WORLD}/{name}', kind, request)
         if response is None:
-            raise self._nobody()
+            raise self._not_found()
         return response
 
     def _ask(self, name: str, kind: Any, request: Any) -> Any:
         """Return what a service answers, None where there is none."""
         client = self.create_client(kind, name)
-        if not client.wait_for_service(timeout_sec=DISCOVERY):
+        if not client.wait_for_service(timeout_sec=DISCOVERY_TIMEOUT):
             return None
         future = client.call_async(request)
-        rclpy.spin_until_future_complete(self, future, timeout_sec=DISCOVERY)
+        rclpy.spin_until_future_complete(self, future, timeout_sec=DISCOVERY_TIMEOUT)
         if not future.done():
-            raise ConfigError(f'{client.srv_name} has not answered within {DISCOVERY:g} s')
+            raise ConfigError(f'{client.srv_name} has not answered within {DISCOVERY_TIMEOUT:g} s')
         return future.result()
 
-    def _nobody(self) -> ConfigError:
-        """Return the error that no world is there."""
+    def _not_found(self) -> ConfigError:
+        """Return the error for a missing world."""
         name = f'{self.get_namespace().rstrip("/")}/{_WORLD}'
         return ConfigError(
-            f'no {name} was found within {DISCOVERY:g} s: expected one that runs; start it, or '
-            f'check --namespace and ROS_DOMAIN_ID, which is {os.environ.get("ROS_DOMAIN_ID", "0")}'
+            f'no {name} was found within {DISCOVERY_TIMEOUT:g} s: expected one that runs; start '
+            'it, or check --namespace and ROS_DOMAIN_ID, which is '
+            f'{os.environ.get("ROS_DOMAIN_ID", "0")}'
         )
 
 
 @contextmanager
 def world_client(namespace: str) -> Iterator[WorldClient]:
-    """Give a client of the world in a namespace."""
+    """Yield a client of the world in a namespace."""
     init_rclpy()
     client = WorldClient('shepherd', namespace=namespace, start_parameter_services=False)
     try:

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from shepherd_ros.experiments.bootstrap import Array, drawn_means, percentiles
+from shepherd_ros.experiments.bootstrap import Array, percentiles, resampled_means
 from shepherd_ros.experiments.samples import Samples
 
 AGREES, DISAGREES, UNDECIDED = 'agrees', 'disagrees', 'undecided'
@@ -56,7 +56,7 @@ class Sweep:
         if np.isnan(values).any():
             raise MissingError(f'rows of {name} are not complete')
         own = values.mean(axis=-1, keepdims=True)
-        return np.concatenate([own, drawn_means(values)], axis=-1)
+        return np.concatenate([own, resampled_means(values)], axis=-1)
 
     def at(self, method: str, metric: str, x: float) -> Array:
         """Return the means at one point, (1 + draws,)."""

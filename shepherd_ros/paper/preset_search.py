@@ -22,7 +22,7 @@ from shepherd_ros.experiments.catalog import BASELINES, Experiment, EXPERIMENTS
 from shepherd_ros.experiments.cells import Cell, run_cell
 from shepherd_ros.experiments.results import Results
 from shepherd_ros.experiments.samples import samples_of
-from shepherd_ros.experiments.setting import settled
+from shepherd_ros.experiments.setting import canonical_setting
 from shepherd_ros.paper.claims import (
     AGREES,
     ClauseFinding,
@@ -129,7 +129,9 @@ def findings(
     known = {} if known is None else known
     try:
         experiments = {name: short(name) for name in SEARCH_POINTS}
-        settings = dict.fromkeys(settled(s) for e in experiments.values() for s in e.settings)
+        settings = dict.fromkeys(
+            canonical_setting(s) for e in experiments.values() for s in e.settings
+        )
         tables = []
         for setting in settings:
             for name in BASELINES:

@@ -7,11 +7,11 @@ from collections.abc import Iterable, Sequence
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
-from shepherd_ros.experiments.bootstrap import Array, drawn_means, mean_interval, percentiles
+from shepherd_ros.experiments.bootstrap import Array, mean_interval, percentiles, resampled_means
 from shepherd_ros.experiments.catalog import BASELINES
 from shepherd_ros.experiments.methods import label
 from shepherd_ros.experiments.samples import Samples
-from shepherd_ros.experiments.setting import Setting, settled
+from shepherd_ros.experiments.setting import canonical_setting, Setting
 from shepherd_ros.paper.claims import SHARE_TOLERANCE
 from shepherd_ros.paper.drawing import (
     axis_label,
@@ -45,7 +45,7 @@ def draw_summary(found: Iterable[Samples]) -> Figure | None:
     blocks: dict[str, tuple[Samples, int]] = {}
     for samples in found:
         first = samples.settings[0]
-        default = settled(Setting(preset=first.preset, flock=first.flock))
+        default = canonical_setting(Setting(preset=first.preset, flock=first.flock))
         if default in samples.settings and {*BASELINES} < {*samples.controllers}:
             blocks.setdefault(first.flock, (samples, samples.settings.index(default)))
     if not blocks:
@@ -92,5 +92,5 @@ def compared(ours: Array, theirs: Array, more: bool, margin: float) -> str:
     """Return better, worse or same, for the episodes (E,) of two methods with the same starts."""
     if len(ours) < 2:
         return ''
-    low, high = percentiles(drawn_means(ours - theirs if more else theirs - ours))
+    low, high = percentiles(resampled_means(ours - theirs if more else theirs - ours))
     return 'better' if low > margin else 'worse' if high < -margin else 'same'

@@ -1,3 +1,3 @@
-"""The network of a learned shepherd, its checkpoints, and its use within an episode."""
+"""The network of a learned shepherd, its checkpoints, and inference within an episode."""
 
 __all__ = ['card', 'checkpoint', 'inference', 'network', 'policy', 'torchscript']

@@ -1,4 +1,4 @@
-"""The model card of a checkpoint: all that its file says about itself, for people to read."""
+"""The model card of a checkpoint: the metadata of its file in Markdown."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ PROVENANCE = {
     'seed': 'seed', 'wall_time_s': 'wall time [s]', 'machine': 'machine', 'code': 'commit',
     'version': 'version', 'torch': 'torch', 'note': 'note',
 }  # fmt: skip
-MAX_TEXT_LENGTH = 8000  # characters of one thing that a file says
+MAX_TEXT_LENGTH = 8000  # characters of one value of the metadata
 
 
 def card(name: str, policy: Policy, record: Mapping[str, Any]) -> str:
-    """Return the card in Markdown; what a record does not say is left out."""
+    """Return the card in Markdown, without the entries that a record lacks."""
     config = policy.config
-    sees, network = config.observation, config.network
+    obs, network = config.observation, config.network
     actor = sum(p.numel() for p in policy.actor.parameters())
-    held = config.action_repeat
+    repeat = config.action_repeat
     lines = [f'# Checkpoint `{name}`', '', '## How it was made', '']
     commands = printable(record.get('command', 'the checkpoint does not say')).split(' && ')
     lines += ['```bash', *commands, '```', '']
@@ -39,13 +39,13 @@ def card(name: str, policy: Policy, record: Mapping[str, Any]) -> str:
         f'- one lidar of {config.lidar.n_rays} rays, channels '
         f'{", ".join(config.lidar.layout.channels)}, up to '
         f'{config.lidar.range_max:g} m',
-        f'- {sees.n_frames} frames, {sees.spacing} steps of {config.dt:g} s apart; layout '
-        f'{sees.layout}, first ray toward the {sees.align}, ranges in units of '
-        f'{sees.unit or config.lidar.range_max:g} m',
+        f'- {obs.n_frames} frames, {obs.spacing} steps of {config.dt:g} s apart; layout '
+        f'{obs.layout}, first ray toward the {obs.align}, ranges in units of '
+        f'{obs.unit or config.lidar.range_max:g} m',
         f'- {network.filters_1} and {network.filters_2} filters, {network.hidden} units, '
         f'{network.padding} padding: {actor:,} weights of the actor, as many but a few of the '
         'critic',
-        f'- an action is held for {held} step{"s" if held > 1 else ""}',
+        f'- an action is held for {repeat} step{"s" if repeat > 1 else ""}',
         '',
     ]
     lines += _evaluation(record.get('eval'))
@@ -77,7 +77,7 @@ def _evaluation(results: Any) -> list[str]:
 
 
 def flat_items(data: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield names and values, a part.name for each of a part."""
+    """Yield names and values of nested data, with dots in nested names."""
     for key, value in data.items():
         if isinstance(value, Mapping):
             yield from ((f'{key}.{name}', inner) for name, inner in flat_items(value))
@@ -86,7 +86,7 @@ def flat_items(data: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def trained_for(config: Any) -> list[str]:
-    """Return the worlds of its training."""
+    """Return the lines of the card about the worlds of its training."""
     run = config.get('run') if isinstance(config, Mapping) else None
     task = run.get('task') if isinstance(run, Mapping) else None
     if not isinstance(task, Mapping):

@@ -1,4 +1,4 @@
-"""A policy in a file: weights and everything about them as safetensors; opening runs no code."""
+"""Checkpoints: weights and metadata of a policy as safetensors; opening a file runs no code."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ CHECKPOINT_SUFFIX = '.safetensors'
 
 def save_policy(path: Path, policy: Policy, record: Mapping[str, Any]) -> None:
     """
-    Write a policy; record says how it was made: command, seed, wall time, results, all plain data.
+    Write a policy; record is its provenance: command, seed, wall time, results, all plain data.
 
-    The file is written beside and moved into place, so that a reader never sees half of it.
+    The file is written under another name and renamed, so that a reader never sees half of it.
     Raises OSError where that fails.
     """
     metadata = {
@@ -34,18 +34,18 @@ def save_policy(path: Path, policy: Policy, record: Mapping[str, Any]) -> None:
         'record': json.dumps(record),
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_suffix('.part')
+    temporary = path.with_suffix('.part')
     state = {name: value.contiguous() for name, value in policy.state_dict().items()}
     try:
-        save_file(state, beside, metadata)
+        save_file(state, temporary, metadata)
     except SafetensorError as error:  # what it makes of a full disk
         raise OSError(str(error)) from error
-    beside.chmod(0o644)  # it is made for its owner alone, but goes into installations
-    beside.replace(path)
+    temporary.chmod(0o644)  # it is made for its owner alone, but goes into installations
+    temporary.replace(path)
 
 
 def checkpoint_file(name: str) -> Path:
-    """Return the path of a checkpoint: that of a file, or a shipped one by its name."""
+    """Return the path of a checkpoint, a file or the name of a shipped one; or ConfigError."""
     path = Path(name)
     if path.suffix == CHECKPOINT_SUFFIX or path.exists():
         if path.is_file():
@@ -103,24 +103,24 @@ def read_checkpoint_metadata(path: Path) -> tuple[PolicyConfig, dict[str, Any], 
 
 
 def load_policy(name: str, device: str = 'cpu') -> Policy:
-    """Return the policy of a checkpoint in float32, or raise ConfigError; name: a file or name."""
+    """Return the policy of checkpoint_file() in float32, or raise ConfigError."""
     path = checkpoint_file(name)
     config, _, _ = read_checkpoint_metadata(path)
     with torch.device('meta'):
         policy = Policy(config)
-    wanted = policy.state_dict()
+    expected = policy.state_dict()
     state = {}
     try:
         with safe_open(path, framework='pt', device=device) as file:
             names = set(file.keys())
-            if names != set(wanted):
-                odd = sorted(names ^ set(wanted))[0]
-                raise ConfigError(f'{path}: weights {odd!r:.60} are missing or too many')
-            for key, like in wanted.items():
+            if names != set(expected):
+                differing = sorted(names ^ set(expected))[0]
+                raise ConfigError(f'{path}: weights {differing!r:.60} are missing or too many')
+            for key, tensor in expected.items():
                 shape = tuple(file.get_slice(key).get_shape())
-                if shape != tuple(like.shape):
+                if shape != tuple(tensor.shape):
                     raise ConfigError(
-                        f'{path}: weights {key!r} are {shape}, expected {tuple(like.shape)}'
+                        f'{path}: weights {key!r} are {shape}, expected {tuple(tensor.shape)}'
                     )
                 state[key] = file.get_tensor(key).float()
                 if not state[key].isfinite().all():

@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.nn import functional
 
 POOL_SIZE = 5
-NO_WINNER = POOL_SIZE  # the winner where no value is above zero: nobody gets the gradient
+NO_WINNER = POOL_SIZE  # the winner where no value is above zero: none gets the gradient
 INTEGER_DTYPES = {torch.bfloat16: torch.int16, torch.float32: torch.int32}
 
 
@@ -27,29 +27,29 @@ def _pool(x, out, winner):
     """
     Pool the bits of floats x (R, W, C) to out (R, P, C) and the index of the winner.
 
-    Floats above zero are in the same order as their bits, and the others have no say.
+    Floats above zero are in the same order as their bits, and the others do not count.
     """
     for r in range(out.shape[0]):
         for p in range(out.shape[1]):
             for c in range(out.shape[2]):
-                best, who = x[r, p * POOL_SIZE, c], 0
+                best, index = x[r, p * POOL_SIZE, c], 0
                 for j in range(1, POOL_SIZE):
                     value = x[r, p * POOL_SIZE + j, c]
                     if value > best:
-                        best, who = value, j
+                        best, index = value, j
                 out[r, p, c] = max(best, 0)
-                winner[r, p, c] = who if best > 0 else NO_WINNER
+                winner[r, p, c] = index if best > 0 else NO_WINNER
 
 
 @compiled
-def _spread(gradient, winner, out):
-    """Give the bits of gradient (R, P, C) to the winners in out (R, W, C), zero to the others."""
+def _unpool(gradient, winner, out):
+    """Write the bits of gradient (R, P, C) to the winners in out (R, W, C), zero elsewhere."""
     for r in range(out.shape[0]):
         for p in range(gradient.shape[1]):
             for j in range(POOL_SIZE):
                 for c in range(gradient.shape[2]):
-                    mine = winner[r, p, c] == j
-                    out[r, p * POOL_SIZE + j, c] = gradient[r, p, c] if mine else 0
+                    selected = winner[r, p, c] == j
+                    out[r, p * POOL_SIZE + j, c] = gradient[r, p, c] if selected else 0
         for w in range(gradient.shape[1] * POOL_SIZE, out.shape[1]):
             for c in range(gradient.shape[2]):
                 out[r, w, c] = 0
@@ -66,7 +66,7 @@ def _compilable(x: Tensor) -> bool:
 
 
 def pool(x: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the pooled (B, W // 5, C) of a contiguous x (B, W, C) and who won."""
+    """Return the pooled (B, W // 5, C) of a contiguous x (B, W, C), and the winners' indices."""
     batch, width, channels = x.shape
     out = x.new_empty(batch, width // POOL_SIZE, channels)
     winner = torch.empty(out.shape, dtype=torch.uint8, device='cpu')
@@ -75,9 +75,9 @@ def pool(x: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def unpool(gradient: Tensor, winner: Tensor, width: int) -> Tensor:
-    """Return the gradient (B, width, C) of what was pooled from that (B, P, C) of the result."""
+    """Return the gradient (B, width, C) of pool()'s input from that (B, P, C) of its output."""
     out = gradient.new_empty(gradient.shape[0], width, gradient.shape[2])
-    _spread(_bits(gradient.contiguous()), winner.numpy(), _bits(out))
+    _unpool(_bits(gradient.contiguous()), winner.numpy(), _bits(out))
     return out
 
 

@@ -15,7 +15,7 @@ PolicyMemory = dict[str, Tensor]
 def begin(
     policy: Policy, batch: tuple[int, ...], team: int, dtype: torch.dtype = torch.float32
 ) -> PolicyMemory:
-    """Return the memory of teams (*batch, team) that have seen nothing; dtype as for act()."""
+    """Return the memory of teams (*batch, team) before their first scan; dtype as for act()."""
     config, device = policy.config, policy.device
     shape = (*batch, team, config.frames.window, *config.lidar.layout.shape)
     return {
@@ -36,21 +36,21 @@ def act(
     draws: Callable[[], Tensor] | None = None,
 ) -> tuple[Tensor, PolicyMemory]:
     """
-    Return commands (..., H, 2) m/s, world frame, at most top_speed [m/s]; and memory.
+    Return commands (..., H, 2) m/s, world frame, at most top_speed [m/s], and memory.
 
-    look() returns the ranges (..., H, C, R) m of this step and is called where it is time to
-    decide; between decisions commands are held. present (..., H) bool are those who act; the
-    others keep their command, zero at first. draws() returns standard normal numbers
-    (..., H, 2) for sampled actions; None: the mean.
+    read_ranges() returns the ranges (..., H, C, R) m of this step and is called at decisions only;
+    between them commands are held. present (..., H) bool marks the shepherds that act; the others
+    keep their command, zero at first. draws() returns standard normal numbers (..., H, 2) for
+    sampled actions; None: the mean.
     """
     config, count = policy.config, memory['count']
-    due = count % config.action_repeat == 0
-    if not due.any():
+    decides = count % config.action_repeat == 0
+    if not decides.any():
         return memory['command'], memory | {'count': count + 1}
     ranges = read_ranges()
-    history, first = _remembered(policy, memory, ranges, due)
-    acting = (present & due[..., None]).reshape(-1)
-    frames = config.frames.seen(history).flatten(0, -4)[acting]
+    history, first = _updated_history(policy, memory, ranges, decides)
+    acting = (present & decides[..., None]).reshape(-1)
+    frames = config.frames.select(history).flatten(0, -4)[acting]
     numbers = None if draws is None else draws().reshape(-1, 2)[acting]
     command = memory['command'].clone()
     chosen = clip_norm(policy.act_on(frames, first.reshape(-1)[acting], numbers), top_speed)
@@ -58,14 +58,14 @@ def act(
     return command, {'count': count + 1, 'history': history, 'first': first, 'command': command}
 
 
-def _remembered(
-    policy: Policy, memory: PolicyMemory, ranges: Tensor, due: Tensor
+def _updated_history(
+    policy: Policy, memory: PolicyMemory, ranges: Tensor, decides: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return history and ray in front with a reading, which fills all if it is the first."""
-    old, frames = memory['history'], policy.config.frames
-    newest = policy.scaled(ranges).to(old.dtype)
-    history, first = frames.push(old, newest), policy.first_ray(ranges)
-    if not due.all():
-        history = torch.where(due[(..., *(None,) * 4)], history, old)
-        first = torch.where(due[..., None], first, memory['first'])
+    """Return history and first ray with a reading added; the first one fills the history."""
+    last, frames = memory['history'], policy.config.frames
+    newest = policy.scale(ranges).to(last.dtype)
+    history, first = frames.push(last, newest), policy.first_ray(ranges)
+    if not decides.all():
+        history = torch.where(decides[(..., *(None,) * 4)], history, last)
+        first = torch.where(decides[..., None], first, memory['first'])
     return frames.restart(history, newest, memory['count'] == 0), first

@@ -16,7 +16,7 @@ KERNEL_SIZE = 10  # rays that a filter covers
 
 @dataclass(frozen=True)
 class NetworkConfig(Config):
-    """The sizes of the paper, and what it leaves open."""
+    """The sizes of the network, by default the paper's."""
 
     filters_1: int = option(32, 'filters of the first convolution', low=1, high=1024)
     filters_2: int = option(64, 'filters of the second convolution', low=1, high=1024)
@@ -37,7 +37,7 @@ class NetworkConfig(Config):
 
 
 def fast_dtype(device: torch.device | None = None) -> torch.dtype:
-    """Return bfloat16 where the device, the CPU if none is named, multiplies matrices of it."""
+    """Return bfloat16 if the device (None: the CPU) has matrix products of it, else float32."""
     if device is not None and device.type == 'cuda':
         return torch.bfloat16
     return torch.bfloat16 if torch.cpu._is_amx_tile_supported() else torch.float32
@@ -50,10 +50,10 @@ def weights(layer: nn.Conv1d) -> tuple[Tensor, Tensor]:
 
 
 class Body(nn.Module):
-    """From input (B, D, L) to features (B, hidden): shared in form, not in weights."""
+    """Layers from input (B, D, L) to features (B, hidden), of actor and critic alike."""
 
     def __init__(self, shape: tuple[int, int], config: NetworkConfig) -> None:
-        """Make the layers for an input of C channels and length L."""
+        """Create the layers for an input of shape (D, L)."""
         super().__init__()
         channels, length = shape
         self.circular = config.padding == 'circular'
@@ -70,23 +70,23 @@ class Body(nn.Module):
             nn.init.zeros_(layer.bias)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return the features in the dtype of x, which the weights are cast to."""
-        x = self._closed(x.transpose(1, 2))  # (B, L, C)
+        """Return the features (B, hidden) in the dtype of x, to which the weights are cast."""
+        x = self._pad_circular(x.transpose(1, 2))  # (B, L, C)
         x = first_stage(x, *weights(self.conv1))
-        x = second_stage(self._closed(x), *weights(self.conv2))
+        x = second_stage(self._pad_circular(x), *weights(self.conv2))
         dense = self.dense
         x = functional.linear(x.flatten(1), dense.weight.to(x.dtype), dense.bias.to(x.dtype))
         return functional.relu(x)
 
     def plain(self, x: Tensor) -> Tensor:
-        """Return forward() as the paper draws it, the reference of the fast form."""
+        """Return forward() from plain torch layers, the reference of the fast form."""
         for layer in (self.conv1, self.conv2):
-            x = self._closed(x.transpose(1, 2)).transpose(1, 2)
+            x = self._pad_circular(x.transpose(1, 2)).transpose(1, 2)
             x = plain_stage(x, *weights(layer))
         return functional.relu(self.dense(x.transpose(1, 2).flatten(1)))
 
-    def _closed(self, x: Tensor) -> Tensor:
-        """Return x (B, L, C) with its first values once more at its end, if it is a ring."""
+    def _pad_circular(self, x: Tensor) -> Tensor:
+        """Return x (B, L, C), with its first values repeated at its end if padding is circular."""
         return torch.cat([x, x[:, : KERNEL_SIZE - 1]], dim=1) if self.circular else x
 
 
@@ -94,7 +94,7 @@ class Actor(nn.Module):
     """From input (B, D, L) to mean and standard deviation of the action, (B, 2) m/s each."""
 
     def __init__(self, shape: tuple[int, int], config: NetworkConfig) -> None:
-        """Make the network with nearly no motion as its first mean."""
+        """Create the network; its first mean is close to zero."""
         super().__init__()
         self.config = config
         self.body = Body(shape, config)
@@ -105,7 +105,7 @@ class Actor(nn.Module):
             self.log_std = nn.Parameter(torch.full((2,), math.log(config.init_std)))
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Return mean and standard deviation in float32."""
+        """Return mean and standard deviation, (B, 2) m/s each, float32."""
         out = self.head(self.body(x).float())
         if self.config.std_type == 'state':
             log_std = out[:, 2:] + math.log(self.config.init_std)
@@ -119,7 +119,7 @@ class Critic(nn.Module):
     """From input (B, D, L) to the expected return of the team, (B,)."""
 
     def __init__(self, shape: tuple[int, int], config: NetworkConfig) -> None:
-        """Make the network."""
+        """Create the network for an input of shape (D, L)."""
         super().__init__()
         self.body = Body(shape, config)
         self.head = nn.Linear(config.hidden, 1)
@@ -127,5 +127,5 @@ class Critic(nn.Module):
         nn.init.zeros_(self.head.bias)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return the value in float32."""
+        """Return the value (B,) in float32."""
         return self.head(self.body(x).float())[:, 0]

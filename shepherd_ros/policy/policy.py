@@ -10,12 +10,12 @@ from shepherd_ros.policy.network import Actor, Critic, NetworkConfig
 from shepherd_ros.sim.frames import Frames
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import (
-    arranged,
+    arrange,
     first_ray,
     input_shape,
     ObservationConfig,
+    rotate_by_ray,
     scaled_ranges,
-    turned,
 )
 import torch
 from torch import nn, Tensor
@@ -32,7 +32,7 @@ class PolicyConfig(Config):
     network: NetworkConfig = part(NetworkConfig)
 
     def __post_init__(self) -> None:
-        """Check each field and what has to fit together."""
+        """Check each field, and spacing and padding against the others."""
         super().__post_init__()
         if self.observation.spacing % self.action_repeat:
             raise ConfigError(
@@ -57,7 +57,7 @@ class Policy(nn.Module):
     def __init__(
         self, config: PolicyConfig, actor: Actor | None = None, critic: Critic | None = None
     ) -> None:
-        """Take the networks, or make them with random weights from torch's generator."""
+        """Use the networks, or create them with random weights from torch's generator."""
         super().__init__()
         self.config = config
         types, n_rays = config.lidar.layout.shape
@@ -71,22 +71,22 @@ class Policy(nn.Module):
         return next(self.parameters()).device
 
     def with_config(self, config: PolicyConfig) -> Policy:
-        """Return a policy with these very weights and other times or limits of spread."""
+        """Return a policy that shares these weights, with another configuration."""
         actor = copy(self.actor)
         actor.config = config.network
         return Policy(config, actor, self.critic)
 
-    def scaled(self, ranges: Tensor) -> Tensor:
-        """Return ranges (...) m as the network sees them, before they are arranged."""
+    def scale(self, ranges: Tensor) -> Tensor:
+        """Return ranges (...) m in the unit of the network, free rays as none_value."""
         return scaled_ranges(ranges, self.config.observation, self.config.lidar.range_max)
 
     def first_ray(self, ranges: Tensor) -> Tensor:
-        """Return the ray in front for the newest frames (..., C, R) m; actions are relative."""
+        """Return the first ray (...) int64 of the input for the newest frames (..., C, R) m."""
         return first_ray(ranges, self.config.observation)
 
-    def arranged(self, scaled: Tensor, first: Tensor) -> Tensor:
-        """Return the input (..., D, L) of scaled frames (..., K, C, R) with a ray in front."""
-        return arranged(scaled, first, self.config.observation)
+    def arrange(self, scaled: Tensor, first: Tensor) -> Tensor:
+        """Return the input (..., D, L) of scaled frames (..., K, C, R), ray first (...) first."""
+        return arrange(scaled, first, self.config.observation)
 
     @torch.no_grad()
     def act(
@@ -99,13 +99,13 @@ class Policy(nn.Module):
         standard normal numbers for a sampled action; None: the mean. dtype is that of the work.
         """
         first = self.first_ray(frames[:, -1])
-        return self.act_on(self.scaled(frames).to(dtype), first, draws)
+        return self.act_on(self.scale(frames).to(dtype), first, draws)
 
     @torch.no_grad()
     def act_on(self, scaled: Tensor, first: Tensor, draws: Tensor | None = None) -> Tensor:
-        """Return act() for frames that scaled() gave, (n, K, C, R), with their ray in front."""
+        """Return act() for frames of scale(), (n, K, C, R), and their first ray (n,)."""
         if not len(scaled):
             return torch.zeros(0, 2, device=scaled.device)
-        mean, std = self.actor(self.arranged(scaled, first))
+        mean, std = self.actor(self.arrange(scaled, first))
         action = mean if draws is None else mean + std * draws
-        return turned(action, first, scaled.shape[-1])
+        return rotate_by_ray(action, first, scaled.shape[-1])

@@ -1,4 +1,4 @@
-"""The actor for programs that know neither this package nor its kernels."""
+"""Export of the actor, as ONNX or TorchScript, for programs without this package."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from shepherd_ros.config import ConfigError
 from shepherd_ros.policy.policy import Policy
-from shepherd_ros.sim.observation import turned
+from shepherd_ros.sim.observation import rotate_by_ray
 import torch
 from torch import nn, Tensor
 
@@ -16,24 +16,24 @@ class PlainActor(nn.Module):
     """Frames (n, K, C, R) m, +inf on free rays, to mean velocities (n, 2) m/s, world frame."""
 
     def __init__(self, policy: Policy) -> None:
-        """Take the weights of a policy."""
+        """Use the weights of a policy."""
         super().__init__()
         self.policy = policy
 
     def forward(self, frames: Tensor) -> Tensor:
-        """Return the velocities, not cut to the top speed."""
+        """Return the velocities (n, 2) m/s, not cut to the top speed."""
         first = self.policy.first_ray(frames[:, -1])
-        x = self.policy.arranged(self.policy.scaled(frames), first)
+        x = self.policy.arrange(self.policy.scale(frames), first)
         actor = self.policy.actor
         out = actor.head(actor.body.plain(x))
-        return turned(out[:, :2], first, frames.shape[-1])
+        return rotate_by_ray(out[:, :2], first, frames.shape[-1])
 
 
 def export_actor(policy: Policy, path: Path) -> float:
     """
-    Write the actor as ONNX (*.onnx) or TorchScript; return its largest difference [m/s].
+    Write the actor as ONNX (*.onnx) or TorchScript; return its largest error [m/s].
 
-    The difference is from the policy, in a batch of another size than it was traced with.
+    The error is against the policy, in a batch of another size than it was traced with.
     """
     shape = (policy.config.observation.n_frames, *policy.config.lidar.layout.shape)
     generator = torch.Generator().manual_seed(0)
@@ -53,13 +53,13 @@ def export_actor(policy: Policy, path: Path) -> float:
 def _write_torchscript(
     actor: PlainActor, frames: Tensor, path: Path
 ) -> Callable[[Tensor], Tensor]:
-    """Write TorchScript; return what runs it."""
+    """Write TorchScript; return a function that runs it."""
     torch.jit.trace(actor, frames).save(str(path))
     return torch.jit.load(str(path))
 
 
 def _write_onnx(actor: PlainActor, frames: Tensor, path: Path) -> Callable[[Tensor], Tensor]:
-    """Write ONNX with input `frames` and output `velocities`; return what runs it."""
+    """Write ONNX with input `frames` and output `velocities`; return a function that runs it."""
     try:
         import onnx  # noqa: F401
         import onnxruntime

@@ -33,7 +33,7 @@ PARTS = ('scans', 'commands')
 
 def check_bag(bag: Bag, require: Collection[str] = ()) -> CheckResult:
     """
-    Return the findings on a bag; damage in the middle is one too.
+    Return the findings on a bag, damage included.
 
     require names parts, scans or commands, that must have been recorded.
     """
@@ -49,34 +49,38 @@ def check_bag(bag: Bag, require: Collection[str] = ()) -> CheckResult:
         for namespace in spaces:
             _check_namespace(bag, namespace, require, result)
     except BagError as error:
-        result.add(Finding('damage', error.what))
+        result.add(Finding('damage', error.reason))
     return result
 
 
 def _identity(bag: Bag) -> Iterator[Finding]:
     """Yield findings on types, schemas, contract and metadata of a bag."""
     for topic in bag.topics.values():
-        ours = known(topic.name)
-        if ours is None:
+        entry = known(topic.name)
+        if entry is None:
             continue
-        if topic.type not in ours.types:
-            expected = ' or '.join(ours.types)
+        if topic.type not in entry.types:
+            expected = ' or '.join(entry.types)
             yield Finding('type', f'{topic.type!r}, expected {expected}', topic=topic.name)
         elif bag.definitions[topic.name] != {(topic.type, 'ros2msg', known_text(topic.type))}:
             yield Finding('schema', f'the text of {topic.type} is not ours', topic=topic.name)
     yield from _contract(bag)
     yield from _lost(bag.custom_data.get(LOST_KEY, '{}'))
-    if bag.noted_count not in (None, bag.count):
-        yield Finding('metadata', f'{bag.noted_count} messages are noted, {bag.count} are there')
+    if bag.metadata_count not in (None, bag.count):
+        yield Finding(
+            'metadata', f'{bag.metadata_count} messages are noted, {bag.count} are there'
+        )
 
 
 def _contract(bag: Bag) -> Iterator[Finding]:
-    """Yield the topics of a bag that had another meaning when it was recorded."""
-    text, theirs = bag.custom_data.get(TOPICS_KEY), bag.custom_data.get(CONTRACT_KEY)
+    """Yield findings on topics whose contract was another one when the bag was recorded."""
+    text, recorded_hash = bag.custom_data.get(TOPICS_KEY), bag.custom_data.get(CONTRACT_KEY)
     if text is None:  # of before topics had hashes of their own
-        if theirs not in (None, FIRST_CONTRACT_HASH, contract_hash()):
-            mine = f'{contract_hash()!r:.9}'
-            yield Finding('contract', f'{CONTRACT_KEY} is {theirs!r:.20}, ours {mine}')
+        if recorded_hash not in (None, FIRST_CONTRACT_HASH, contract_hash()):
+            expected_hash = f'{contract_hash()!r:.9}'
+            yield Finding(
+                'contract', f'{CONTRACT_KEY} is {recorded_hash!r:.20}, ours {expected_hash}'
+            )
         return
     try:
         hashes = dict(json.loads(text))
@@ -84,9 +88,9 @@ def _contract(bag: Bag) -> Iterator[Finding]:
         yield Finding('metadata', f'{TOPICS_KEY} is {text!r:.40}, expected hashes by topic')
         return
     for name in bag.topics:
-        ours = known(name)
-        mine = '' if ours is None else topic_hashes()[ours.row]
-        if ours is not None and hashes.get(ours.row, mine) != mine:
+        entry = known(name)
+        expected_hash = '' if entry is None else topic_hashes()[entry.row]
+        if entry is not None and hashes.get(entry.row, expected_hash) != expected_hash:
             yield Finding('contract', 'it had another meaning when it was recorded', topic=name)
 
 
@@ -94,8 +98,8 @@ def _lost(text: str) -> Iterator[Finding]:
     """Yield findings on messages that the recorder reports lost."""
     try:
         for topic, count in json.loads(text).items():
-            what = f'{int(count)} messages did not reach the recorder'
-            yield Finding('lost', what, topic=str(topic))
+            message = f'{int(count)} messages did not reach the recorder'
+            yield Finding('lost', message, topic=str(topic))
     except (AttributeError, TypeError, ValueError, RecursionError):
         yield Finding('metadata', f'{LOST_KEY} is {text!r:.40}, expected numbers by topic')
 
@@ -104,15 +108,15 @@ def _check_namespace(
     bag: Bag, namespace: str, require: Collection[str], result: CheckResult
 ) -> None:
     groups = RecordedGroups(bag, namespace)
-    recorded = [ours for name, ours in groups.wanted.items() if bag.topics[name].count]
+    recorded = [entry for name, entry in groups.topics.items() if bag.topics[name].count]
     channels: dict[int, list[str]] = {}
-    for ours in recorded:
-        if ours.topic.name.startswith(SCANS) and ours.shepherd is not None:
-            channels.setdefault(ours.shepherd, []).append(ours.topic.name.removeprefix(SCANS))
+    for entry in recorded:
+        if entry.topic.name.startswith(SCANS) and entry.shepherd is not None:
+            channels.setdefault(entry.shepherd, []).append(entry.topic.name.removeprefix(SCANS))
     scanned = {h: sorted_channels(names) for h, names in channels.items()}
-    commanded = any(ours.topic.name == COMMANDS for ours in recorded)
-    for part, there in (('scans', bool(scanned)), ('commands', commanded)):
-        if not there:
+    commanded = any(entry.topic.name == COMMANDS for entry in recorded)
+    for part, recorded_part in (('scans', bool(scanned)), ('commands', commanded)):
+        if not recorded_part:
             result.absent.append(f'{namespace} {part}'.strip())
             if part in require:
                 result.add(Finding('absent', f'no {part} were recorded', topic=namespace))
@@ -134,14 +138,14 @@ def _check_namespace(
 
 @dataclass(frozen=True)
 class _Expected:
-    """What every state of a namespace should have."""
+    """Topics that every state of a namespace has to have."""
 
     namespace: str
     scanned: dict[int, tuple[str, ...]]  # channels of shepherds with a lidar
     commanded: bool
 
     def missing(self, state: RecordedState, n_shepherds: int, answered: bool) -> Iterator[str]:
-        """Yield the topics that a state lacks."""
+        """Yield the topics that a state lacks; answered: commands count too."""
         if state.sheep is None:
             yield f'{self.namespace}/{SHEEP_POSES}'
         if state.shepherds is None:
@@ -177,29 +181,31 @@ def _check_group(
     result.episodes += 1
     result.steps += sum(1 for s in group.states.values() if s.sheep and s.shepherds)
     final = group.states.get(last, RecordedState())
-    whole = last == info.episode_steps
+    complete = last == info.episode_steps
     if following is None:  # the recording may have ended within a state
-        whole = whole and not any(expected.missing(final, info.n_shepherds, answered=False))
+        complete = complete and not any(expected.missing(final, info.n_shepherds, answered=False))
     # a world that was told to begin anew goes on with the next stamp
-    told = following is None or following.info.start_ns == info.start_ns + (last + 1) * info.dt_ns
-    if not whole:
+    regular = (
+        following is None or following.info.start_ns == info.start_ns + (last + 1) * info.dt_ns
+    )
+    if not complete:
         result.unfinished.append(info.number)
     if begin:
         result.late[info.number] = begin
     for topic, stamp_ns in group.disorder:
         step = (stamp_ns - info.start_ns) // info.dt_ns
-        what = 'it came after a later stamp'
-        result.add(Finding('order', what, info.number, step, stamp_ns, topic))
+        message = 'it came after a later stamp'
+        result.add(Finding('order', message, info.number, step, stamp_ns, topic))
     for topic, stamp_ns in group.astray:
-        what = 'the stamp is that of no state'
-        result.add(Finding('stray', what, info.number, None, stamp_ns, topic))
+        message = 'the stamp is that of no state'
+        result.add(Finding('stray', message, info.number, None, stamp_ns, topic))
     if not group.goals and last >= 0:
         result.add(Finding('gap', 'no goal was recorded', info.number))
-    for step in range(last + 1 if whole or told else info.episode_steps + 1):
+    for step in range(last + 1 if complete or regular else info.episode_steps + 1):
         state = group.states.get(step, RecordedState())
         stamp_ns = info.start_ns + step * info.dt_ns
         place = info.number, step, stamp_ns
-        if step >= begin and (step < last or whole or not told):
+        if step >= begin and (step < last or complete or not regular):
             for topic in expected.missing(state, info.n_shepherds, step < last):
                 result.add(Finding('gap', 'missing', *place, topic))
         result.add(*_counts(group, state, place))
@@ -221,5 +227,5 @@ def _counts(
     for h in range(info.n_shepherds):
         sizes = {len(state.scans.get((h, c), ())) for c in group.channels} - {0}
         if len(sizes) > 1:
-            what = f'channels of {sorted(sizes)} rays'
-            yield Finding('count', what, *place, f'{SHEPHERD.format(h=h)}/scan')
+            message = f'channels of {sorted(sizes)} rays'
+            yield Finding('count', message, *place, f'{SHEPHERD.format(h=h)}/scan')

@@ -1,4 +1,4 @@
-"""Counterfactual episodes: recorded up to a state, then driven by another controller."""
+"""Counterfactual episodes: recorded up to a state, then under another controller."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from shepherd_ros.controllers.controller import Controller, Memory
 from shepherd_ros.recordings.episodes import Frame, RecordedEpisode
 from shepherd_ros.recordings.record import drive, EpisodeBag
 from shepherd_ros.recordings.replay import metrics_over_time, states_of
-from shepherd_ros.recordings.replay_check import core_answers
+from shepherd_ros.recordings.replay_check import law_commands
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.perception import perceive
-from shepherd_ros.sim.rollout import arrive, EnvConfig, Moment, start
+from shepherd_ros.sim.rollout import advance_to, EnvConfig, Moment, start
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
 
@@ -33,13 +33,13 @@ def record_future(
     """
     Write the episode as recorded until frame `at`, then as it goes on under a controller.
 
-    The goal moves as recorded. Returns whether the controller goes on with what it remembers of
-    the past, as memory_at() says. The folder must not exist; raises BagError.
+    The goal moves as recorded. Returns whether the controller goes on with its memory of the
+    past, as of memory_at(). The folder must not exist; raises BagError.
     """
     world = WorldConfig.from_dict(episode.world)
     config = EnvConfig(noise_std=noise_std, world=world, lidar=lidar_of(episode))
     states = states_of(episode)
-    memory, same = memory_at(episode, states, at, controller, noise_std)
+    memory, continues = memory_at(episode, states, at, controller, noise_std)
     moment = start(states.world(slice(0, 1)), config)
     bag = EpisodeBag(folder, replace(episode, world=world.to_dict()), 'none')
     with closing(bag.writer):
@@ -47,29 +47,29 @@ def record_future(
             values = moment.metrics()
             commands = [None if c is None else c.tolist() for c in frame.commands]
             row = {name: float(values[name][0]) for name in METRICS}
-            seen, state, before = (
+            ranges, state, before = (
                 recorded_or_cast_ranges(frame, moment),
                 moment.state,
                 moment.before,
             )
-            bag.step(state.world(0), before.world(0), seen, commands, row, config.lidar)
-            moment = arrive(moment, states.world(slice(t + 1, t + 2)))
+            bag.step(state.world(0), before.world(0), ranges, commands, row, config.lidar)
+            moment = advance_to(moment, states.world(slice(t + 1, t + 2)))
             on_step(1)
         goals = {frame.step: goal for frame, goal in zip(episode.frames, states.goal, strict=True)}
         drive([bag], controller, moment, memory, goals, on_step)
-    return same
+    return continues
 
 
 def memory_at(
     episode: RecordedEpisode, states: WorldState, at: int, controller: Controller, noise_std: float
 ) -> tuple[Memory, bool]:
     """
-    Return the memory with which a controller comes to frame `at`, and whether it is of the past.
+    Return the memory of a controller at frame `at`, and whether it is of the past.
 
-    It is if each command until then is exactly what the controller would have said, having begun
-    at the first state; else the controller begins here.
+    It is if each command until then is exactly that of the controller, begun at the first state;
+    else the controller begins here.
     """
-    past = core_answers(states.world(slice(0, at + 1)), controller, noise_std)
+    past = law_commands(states.world(slice(0, at + 1)), controller, noise_std)
     for frame, (memory, command) in zip(episode.frames, past, strict=False):
         if frame is episode.frames[at]:
             return memory, at > 0
@@ -80,14 +80,14 @@ def memory_at(
 
 
 def lidar_of(episode: RecordedEpisode) -> LidarConfig:
-    """Return the lidar of the scans, the default one if there are none."""
+    """Return the lidar of the scans, the default one without scans."""
     rays = {s.shape[-1] for frame in episode.frames for s in frame.scans if s is not None}
     others = ','.join(set(episode.channels) - set(PAPER_CHANNELS))
     return LidarConfig(n_rays=rays.pop(), others=others) if len(rays) == 1 else LidarConfig()
 
 
 def recorded_or_cast_ranges(frame: Frame, moment: Moment) -> list[np.ndarray]:
-    """Return the recorded scans of a world (1), those that are missing cast; (C, R) m each."""
+    """Return the scans (C, R) m of a world (1), recorded ones or, where missing, cast ones."""
     recorded = [s for s in frame.scans if s is not None]
     if len(recorded) == len(frame.scans):
         return recorded
@@ -96,9 +96,9 @@ def recorded_or_cast_ranges(frame: Frame, moment: Moment) -> list[np.ndarray]:
 
 
 def metrics_table(recorded: RecordedEpisode, future: RecordedEpisode, name: str) -> str:
-    """Return the metrics of both after the last step that both have, as a Markdown table."""
-    both = {frame.step for frame in recorded.frames} & {frame.step for frame in future.frames}
-    last = max(both)
+    """Return the metrics of two episodes after their last common step, as a Markdown table."""
+    common = {frame.step for frame in recorded.frames} & {frame.step for frame in future.frames}
+    last = max(common)
     columns = []
     for episode in (recorded, future):
         curves = metrics_over_time(states_of(episode), episode.episode_steps)

@@ -23,7 +23,7 @@ from shepherd_ros.wire.episode import Episode
 
 @dataclass(frozen=True)
 class Frame:
-    """One state of the world, what the shepherds saw of it and what they answered."""
+    """One state of the world, with the scans and the commands of the shepherds."""
 
     stamp_ns: int
     step: int
@@ -46,20 +46,20 @@ class RecordedEpisode(Episode):
 
     @cached_property
     def whole(self) -> bool:
-        """Return whether no state is missing."""
+        """Return whether all states were recorded."""
         return [frame.step for frame in self.frames] == list(range(self.episode_steps + 1))
 
 
 def one_namespace(bag: Bag, namespace: str | None) -> str:
-    """Return the namespace asked for, or the only one; raises BagError."""
-    known = namespaces(bag)
-    if namespace is None and len(known) == 1:
-        return known[0]
-    if not known:
+    """Return the namespace, by default the only one of the bag; raises BagError."""
+    spaces = namespaces(bag)
+    if namespace is None and len(spaces) == 1:
+        return spaces[0]
+    if not spaces:
         raise BagError(bag.path, 'it tells of no episode', 'record the topic episode too')
-    if namespace not in known:
+    if namespace not in spaces:
         raise BagError(
-            bag.path, f'namespace is {namespace!r}', f'expected one of {known}, as in its topics'
+            bag.path, f'namespace is {namespace!r}', f'expected one of {spaces}, as in its topics'
         )
     return namespace
 
@@ -70,8 +70,8 @@ def iter_episodes(
     """
     Yield the episodes of a bag in the order of the recording; raises BagError.
 
-    States without poses of both kinds are left out: check_bag() tells of them. The commands are
-    those in namespace labels, inside the other one; those that were driven if it is empty.
+    States without poses of both kinds are left out: check_bag() reports them. The commands are
+    those in namespace labels, inside the other one; the executed ones if it is empty.
     """
     for group in RecordedGroups(bag, one_namespace(bag, namespace), labels=labels):
         yield episode_of(bag, group)
@@ -81,7 +81,7 @@ def episode_of(bag: Bag, group: RecordedGroup) -> RecordedEpisode:
     """Return a recorded episode as arrays; raises BagError where its counts are wrong."""
     info = group.info
     goals = sorted(group.goals, key=lambda goal: goal[0])
-    since = [stamp_ns for stamp_ns, _ in goals]
+    goal_stamps = [stamp_ns for stamp_ns, _ in goals]
     frames = []
     for step, state in sorted(group.states.items()):
         if state.sheep is None or state.shepherds is None:
@@ -95,7 +95,7 @@ def episode_of(bag: Bag, group: RecordedGroup) -> RecordedEpisode:
                 f'expected {info.n_sheep} and {info.n_shepherds}',
                 'record one world at a time',
             )
-        place = bisect_right(since, stamp_ns)
+        index = bisect_right(goal_stamps, stamp_ns)
         frames.append(
             Frame(
                 stamp_ns=stamp_ns,
@@ -104,14 +104,14 @@ def episode_of(bag: Bag, group: RecordedGroup) -> RecordedEpisode:
                 sheep_heading=state.sheep.heading,
                 shepherds=state.shepherds.xy,
                 shepherd_heading=state.shepherds.heading,
-                goal=goals[place - 1][1] if place else None,
+                goal=goals[index - 1][1] if index else None,
                 scans=[_scan(bag, group, step, state, h) for h in range(info.n_shepherds)],
                 commands=[state.commands.get(h) for h in range(info.n_shepherds)],
                 lidars=frozenset(state.lidars),
             )
         )
-    about = {f.name: getattr(info, f.name) for f in fields(info)}
-    return RecordedEpisode(**about, frames=frames, channels=group.channels)
+    values = {f.name: getattr(info, f.name) for f in fields(info)}
+    return RecordedEpisode(**values, frames=frames, channels=group.channels)
 
 
 def _scan(
@@ -119,14 +119,14 @@ def _scan(
 ) -> Ranges | None:
     """Return the channels of a scan (C, R) m, None unless all are there."""
     rows = [state.scans.get((shepherd, channel)) for channel in group.channels]
-    there = [row for row in rows if row is not None]
-    if len(there) < len(rows):
+    present = [row for row in rows if row is not None]
+    if len(present) < len(rows):
         return None
-    if len({len(row) for row in there}) > 1:
+    if len({len(row) for row in present}) > 1:
         raise BagError(
             bag.path,
             f'episode {group.info.number}, step {step}, shepherd_{shepherd}: channels of '
-            f'{[len(row) for row in there]} rays, expected as many in each',
+            f'{[len(row) for row in present]} rays, expected as many in each',
             'record one lidar for each shepherd',
         )
-    return np.stack(there)
+    return np.stack(present)

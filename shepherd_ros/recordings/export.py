@@ -39,14 +39,14 @@ SCHEMAS = {
 
 
 def schemas_of(channels: tuple[str, ...]) -> dict[str, pa.Schema]:
-    """Return the columns of the tables, with one of scans for each channel."""
+    """Return the schemas of the tables by name; that of scans has a column for each channel."""
     ranges = [pa.field(name, pa.list_(pa.float32())) for name in channels]
     return SCHEMAS | {'scans': pa.schema([*SCHEMAS['scans'], *ranges])}
 
 
 @dataclass(frozen=True)
 class Exported:
-    """A table that was written."""
+    """A written table: its file and its number of rows."""
 
     path: Path
     rows: int
@@ -73,33 +73,35 @@ def export_bag(
         folder.mkdir(parents=True, exist_ok=True)
         with ExitStack() as stack:
             schemas = schemas_of(RecordedGroups(bag, one_namespace(bag, namespace)).channels)
-            sinks = {
-                name: stack.enter_context(_sink(path, kind, schemas[name]))
+            writers = {
+                name: stack.enter_context(_table_writer(path, kind, schemas[name]))
                 for name, path in paths.items()
             }
             for index, episode in enumerate(iter_episodes(bag, namespace)):
                 for name, table in tables(index, episode).items():
-                    sinks[name].write_table(_flat(table) if kind == 'csv' else table)
+                    writers[name].write_table(_flat(table) if kind == 'csv' else table)
                     rows[name] += table.num_rows
     except BaseException as error:
         for path in paths.values():
             with suppress(OSError):
                 path.unlink()
         if isinstance(error, OSError):
-            what = f'it cannot be written ({error.strerror or error})'
-            raise BagError(folder, what, 'free space or choose another folder') from error
+            reason = f'it cannot be written ({error.strerror or error})'
+            raise BagError(folder, reason, 'free space or choose another folder') from error
         raise
     return {name: Exported(path, rows[name]) for name, path in paths.items()}
 
 
 def tables(index: int, episode: RecordedEpisode) -> dict[str, pa.Table]:
-    """Return the rows of one episode in each table."""
+    """Return the rows of one episode, by name of the table."""
     frames = episode.frames
     members = [('sheep', k) for k in range(episode.n_sheep)]
     members += [('shepherd', k) for k in range(episode.n_shepherds)]
-    place = np.concatenate([np.zeros((0, 2))] + [_both(f.sheep, f.shepherds) for f in frames])
+    place = np.concatenate(
+        [np.zeros((0, 2))] + [_concatenated(f.sheep, f.shepherds) for f in frames]
+    )
     heading = np.concatenate(
-        [np.zeros((0, 2))] + [_both(f.sheep_heading, f.shepherd_heading) for f in frames]
+        [np.zeros((0, 2))] + [_concatenated(f.sheep_heading, f.shepherd_heading) for f in frames]
     )
     goal = np.array([_goal(frame) for frame in frames]).reshape(-1, 2).repeat(len(members), axis=0)
     scanned = [(f, h, s) for f in frames for h, s in enumerate(f.scans) if s is not None]
@@ -140,7 +142,7 @@ def tables(index: int, episode: RecordedEpisode) -> dict[str, pa.Table]:
 
 
 def _key(index: int, frames: list[Frame]) -> dict[str, list[int]]:
-    """Return the columns that say which state a row is of."""
+    """Return the columns that identify the state of a row."""
     return {
         'episode': [index] * len(frames),
         'step': [frame.step for frame in frames],
@@ -148,7 +150,7 @@ def _key(index: int, frames: list[Frame]) -> dict[str, list[int]]:
     }
 
 
-def _both(sheep: np.ndarray, shepherds: np.ndarray) -> np.ndarray:
+def _concatenated(sheep: np.ndarray, shepherds: np.ndarray) -> np.ndarray:
     return np.concatenate([sheep, shepherds])
 
 
@@ -156,7 +158,7 @@ def _goal(frame: Frame) -> np.ndarray:
     return np.full(2, np.nan) if frame.goal is None else frame.goal
 
 
-def _sink(path: Path, kind: str, schema: pa.Schema) -> Any:
+def _table_writer(path: Path, kind: str, schema: pa.Schema) -> Any:
     """Return a writer with write_table(), for a with statement."""
     if kind == 'parquet':
         return parquet.ParquetWriter(path, schema, compression='zstd')
@@ -164,7 +166,7 @@ def _sink(path: Path, kind: str, schema: pa.Schema) -> Any:
 
 
 def _flat(table: pa.Table) -> pa.Table:
-    """Return a table with texts where it had lists, as CSV wants it."""
+    """Return a table with its lists as text, for CSV."""
     for k, f in enumerate(table.schema):
         if pa.types.is_list(f.type):
             texts = [' '.join(f'{x:.9g}' for x in row) for row in table[k].to_pylist()]

@@ -10,14 +10,14 @@ MAX_FINDINGS = 1000  # findings that are kept
 @dataclass(frozen=True)
 class Finding:
     """
-    Something that is not as it should be.
+    A fault of a recording, with its place.
 
     kind is one of gap, order, count, type, schema, contract, metadata, stray, absent, damage,
     lost.
     """
 
     kind: str
-    what: str
+    message: str
     episode: int | None = None
     step: int | None = None
     stamp_ns: int | None = None
@@ -34,14 +34,14 @@ class Finding:
             place.append(f'stamp {self.stamp_ns / 1e9:.9f}')
         if self.topic:
             place.append(self.topic)
-        return f'{self.kind}: {", ".join(place)}{": " if place else ""}{self.what}'
+        return f'{self.kind}: {", ".join(place)}{": " if place else ""}{self.message}'
 
 
 @dataclass
 class CheckResult:
     """Result of a check of a bag."""
 
-    findings: list[Finding] = field(default_factory=list)  # the first MOST
+    findings: list[Finding] = field(default_factory=list)  # the first MAX_FINDINGS
     absent: list[str] = field(default_factory=list)  # parts that were not recorded at all
     late: dict[int, int] = field(default_factory=dict)  # first whole step of episodes joined late
     unfinished: list[int] = field(default_factory=list)  # numbers of episodes that end early
@@ -51,14 +51,14 @@ class CheckResult:
 
     @property
     def ok(self) -> bool:
-        """Return whether nothing is wrong."""
+        """Return whether there are no findings."""
         return not self.findings
 
     def add(self, *findings: Finding) -> None:
-        """Keep findings, as long as there are not too many."""
+        """Add findings, at most MAX_FINDINGS in all."""
         self.findings += findings[: MAX_FINDINGS - len(self.findings)]
 
-    def text(self, most: int = 10) -> str:
+    def text(self, limit: int = 10) -> str:
         """Return the result in lines for a terminal."""
         lines = [f'{self.episodes} episodes, {self.steps} states']
         if self.absent:
@@ -68,7 +68,7 @@ class CheckResult:
         if self.unfinished:
             lines.append(f'unfinished episodes: {", ".join(map(str, self.unfinished))}')
         lines += self.notes
-        lines += [str(finding) for finding in self.findings[:most]]
-        if len(self.findings) > most:
-            lines.append(f'and {len(self.findings) - most} more')
+        lines += [str(finding) for finding in self.findings[:limit]]
+        if len(self.findings) > limit:
+            lines.append(f'and {len(self.findings) - limit} more')
         return '\n'.join([*lines, 'ok' if self.ok else 'not ok'])

@@ -1,5 +1,5 @@
 """
-Sorts the messages of a bag into episodes and their states, by stamp and not by order of arrival.
+Grouping of the messages of a bag into episodes and states, by stamp and not by order of arrival.
 
 An episode is announced by the topic episode. Its states are those whose stamps lie on its grid;
 scans and commands carry the stamp of the state that they belong to. A world that is started again
@@ -62,34 +62,34 @@ class RecordedGroup:
     last_step: int = -1  # with poses, -1 if there is none
 
 
-def decoded(bag: Bag, message: BagMessage, kinds: Collection[str]) -> Any:
+def decode_message(bag: Bag, message: BagMessage, kinds: Collection[str]) -> Any:
     """Return a message of one of the expected types; raises BagError."""
-    where = f'{message.topic} at log time {message.log_ns} ns'
+    place = f'{message.topic} at log time {message.log_ns} ns'
     if message.type not in kinds:
         expected = ' or '.join(kinds)
         raise BagError(
             bag.path,
-            f'{where} has type {message.type[:80]!r}, expected {expected}',
+            f'{place} has type {message.type[:80]!r}, expected {expected}',
             'record with the topics of msg_schemas/topics.yaml',
         )
     try:
         return DECODERS[message.type](message.data)
     except CdrError as error:
-        raise BagError(bag.path, f'{where} is no {message.type}: {error}') from error
+        raise BagError(bag.path, f'{place} is no {message.type}: {error}') from error
 
 
 def namespaces(bag: Bag) -> list[str]:
-    """Return the namespaces that tell of episodes: [''] for most bags, [] for those of others."""
+    """Return the namespaces with episodes: [''] for most bags, [] for those of other projects."""
     topics = [t.name for t in bag.topics.values() if t.count and t.type == TEXT_TYPE]
-    found = [known(name) for name in topics]
-    return [one.namespace for one in found if one and one.topic.name == EPISODE]
+    entries = [known(name) for name in topics]
+    return [entry.namespace for entry in entries if entry and entry.topic.name == EPISODE]
 
 
-def announced(bag: Bag, namespace: str) -> list[tuple[int, Episode]]:
-    """Return log times [ns] and episodes announced, goal_radius 0 if absent; raises BagError."""
+def announced_episodes(bag: Bag, namespace: str) -> list[tuple[int, Episode]]:
+    """Return log times [ns] and episodes, with goal_radius 0 if absent; raises BagError."""
     infos = []
     for message in bag.messages([f'{namespace}/{EPISODE}']):
-        text = decoded(bag, message, [TEXT_TYPE])
+        text = decode_message(bag, message, [TEXT_TYPE])
         try:
             infos.append((message.log_ns, Episode.from_json(text, goal_radius=0.0)))
         except ConfigError as error:
@@ -102,8 +102,8 @@ class RecordedGroups:
     The episodes of a namespace in the order of the recording; iterating raises BagError.
 
     parts are names of the contract that are read; keep: also the bytes of poses and scans; labels:
-    the namespace, inside the other one, of the commands that are read instead of those that were
-    driven. The episode being read is in memory, and the one before until it is settled.
+    the namespace, inside the other one, of the commands that are read instead of the executed
+    ones. The episode being read is in memory, and the one before until it is complete.
     """
 
     def __init__(
@@ -114,31 +114,31 @@ class RecordedGroups:
         keep: bool = False,
         labels: str = '',
     ) -> None:
-        """Find out which topics are wanted; raises BagError without any command in labels."""
+        """Select the topics to read; raises BagError without any command in labels."""
         self.bag, self.namespace, self.keep = bag, namespace, keep
         self.stray: Counter[str] = Counter()  # messages that are of no episode, by topic
-        said = f'{namespace}/{labels}' if labels else namespace
-        self.wanted = {
-            name: ours
+        source = f'{namespace}/{labels}' if labels else namespace
+        self.topics = {
+            name: entry
             for name in bag.topics
-            for ours in [known(name)]
-            if ours
-            and (SCANS if ours.topic.name.startswith(SCANS) else ours.topic.name) in parts
-            and ours.namespace == (said if ours.topic.name == COMMANDS else namespace)
+            for entry in [known(name)]
+            if entry
+            and (SCANS if entry.topic.name.startswith(SCANS) else entry.topic.name) in parts
+            and entry.namespace == (source if entry.topic.name == COMMANDS else namespace)
         }
-        if labels and not any(ours.topic.name == COMMANDS for ours in self.wanted.values()):
+        if labels and not any(entry.topic.name == COMMANDS for entry in self.topics.values()):
             raise BagError(
                 bag.path,
-                f'labels is {labels!r}, but it has no topic {said}/shepherd_<h>/cmd_vel',
+                f'labels is {labels!r}, but it has no topic {source}/shepherd_<h>/cmd_vel',
                 'use labels of a recording that has them, such as those of train dagger '
                 '--bag-folder',
             )
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Return the channels that the scans have."""
+        """Return the channels of the scans."""
         names = (
-            ours.topic.name for name, ours in self.wanted.items() if self.bag.topics[name].count
+            entry.topic.name for name, entry in self.topics.items() if self.bag.topics[name].count
         )
         return sorted_channels(
             name.removeprefix(SCANS) for name in names if name.startswith(SCANS)
@@ -146,64 +146,64 @@ class RecordedGroups:
 
     def __iter__(self) -> Iterator[RecordedGroup]:
         """Yield one episode after another."""
-        sorter = _Sorter(announced(self.bag, self.namespace), self.channels)
-        for message in self.bag.messages(self.wanted):
+        sorter = _Sorter(announced_episodes(self.bag, self.namespace), self.channels)
+        for message in self.bag.messages(self.topics):
             yield from sorter.begin_until(message.log_ns)
-            ours = self.wanted[message.topic]
-            content = decoded(self.bag, message, ours.types)
-            if not sorter.add(ours, content, message.data if self.keep else None):
+            entry = self.topics[message.topic]
+            content = decode_message(self.bag, message, entry.types)
+            if not sorter.add(entry, content, message.data if self.keep else None):
                 self.stray[message.topic] += 1
         yield from sorter.begin_until(2**64)
         yield from sorter.open
 
 
 class _Sorter:
-    """Keeps the episodes that are not settled."""
+    """Episodes that may still get messages."""
 
     def __init__(self, infos: list[tuple[int, Episode]], channels: tuple[str, ...]) -> None:
-        self.coming, self.channels = list(reversed(infos)), channels
+        self.upcoming, self.channels = list(reversed(infos)), channels
         self.open: list[RecordedGroup] = []  # the present one last
-        self.early = 0  # of the open ones, how many at the end are not announced yet
-        self.now: int | None = None  # stamp of the latest state
-        self.again: int | None = None  # goals when the present episode was announced once more
+        self.n_unannounced = 0  # of the open ones, how many at the end are not announced yet
+        self.last_stamp_ns: int | None = None  # stamp of the latest state
+        self.n_goals: int | None = None  # goals when the present episode was announced once more
 
     def begin_until(self, log_ns: int) -> Iterator[RecordedGroup]:
-        """Begin the episodes announced until a log time; yield those that are over."""
-        while self.coming and self.coming[-1][0] <= log_ns:
-            _, info = self.coming.pop()
-            if self.early:
-                self.early -= 1
+        """Begin the episodes announced until a log time; yield those that are complete."""
+        while self.upcoming and self.upcoming[-1][0] <= log_ns:
+            _, info = self.upcoming.pop()
+            if self.n_unannounced:
+                self.n_unannounced -= 1
                 continue
             if self.open and self.open[-1].info == info:
                 # said to those who were silent, or of a world started anew
-                self.again = len(self.open[-1].goals)
+                self.n_goals = len(self.open[-1].goals)
                 continue
             self.open.append(RecordedGroup(info, self.channels))
-            self.again = None
+            self.n_goals = None
         last = self.open[-1] if self.open else None
         keep = 1 if last is not None and last.last_step >= CLOSING_STEP else 2
         while len(self.open) > keep:
             yield self.open.pop(0)
 
     def add(
-        self, ours: KnownTopic, content: Poses | Vector | Any, raw: bytes | None = None
+        self, entry: KnownTopic, content: Poses | Vector | Any, raw: bytes | None = None
     ) -> bool:
-        """Take the content of a message, and its bytes to keep; return whether it is of one."""
-        name = ours.topic.name
-        stamp_ns = self.now if content.stamp_ns is None else content.stamp_ns
+        """Add a message, and its bytes to keep; return whether it belongs to an episode."""
+        name = entry.topic.name
+        stamp_ns = self.last_stamp_ns if content.stamp_ns is None else content.stamp_ns
         if name in STATES:
-            self.now = stamp_ns
+            self.last_stamp_ns = stamp_ns
         group = None if stamp_ns is None else self._group(stamp_ns)
         if group is None or stamp_ns is None:
             return False
-        label = name.replace('{h}', str(ours.shepherd))
-        back = name in STATES and stamp_ns < group.latest.get(label, 0)
-        if back and self.again is not None and group is self.open[-1]:
+        label = name.replace('{h}', str(entry.shepherd))
+        goes_back = name in STATES and stamp_ns < group.latest.get(label, 0)
+        if goes_back and self.n_goals is not None and group is self.open[-1]:
             self.open.append(
-                RecordedGroup(group.info, self.channels, goals=group.goals[self.again :])
+                RecordedGroup(group.info, self.channels, goals=group.goals[self.n_goals :])
             )
-            del group.goals[self.again :]
-            group, self.again = self.open[-1], None
+            del group.goals[self.n_goals :]
+            group, self.n_goals = self.open[-1], None
         if name == GOAL:
             group.goals.append((stamp_ns, content.xy))
             return True
@@ -217,7 +217,7 @@ class _Sorter:
         if name in STATES:
             group.last_step = max(group.last_step, step)
         state = group.states.setdefault(step, RecordedState())
-        _put(state, name, ours.shepherd, content)
+        _store(state, name, entry.shepherd, content)
         if raw is not None and name != COMMANDS:
             state.raw.setdefault(label, raw)
         return True
@@ -227,16 +227,16 @@ class _Sorter:
         for group in reversed(self.open):
             if group.info.has(stamp_ns):
                 return group
-        if self.coming and not self.early and self.coming[-1][1].has(stamp_ns):
+        if self.upcoming and not self.n_unannounced and self.upcoming[-1][1].has(stamp_ns):
             # on its way to the recorder the announcement was overtaken
-            self.open.append(RecordedGroup(self.coming[-1][1], self.channels))
-            self.early += 1
+            self.open.append(RecordedGroup(self.upcoming[-1][1], self.channels))
+            self.n_unannounced += 1
             return self.open[-1]
         return None
 
 
-def _put(state: RecordedState, name: str, shepherd: int | None, content: Any) -> None:
-    """Keep what a message says of a state, unless it was said before."""
+def _store(state: RecordedState, name: str, shepherd: int | None, content: Any) -> None:
+    """Store the content of a message in a state, unless it has that already."""
     if name == SHEEP_POSES:
         state.sheep = state.sheep or content
     elif name == SHEPHERD_POSES:

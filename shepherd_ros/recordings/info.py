@@ -1,4 +1,4 @@
-"""Summary of a bag as `ros2 bag info` prints it, with its episodes."""
+"""Summary of a bag in the form of `ros2 bag info`, with its episodes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from datetime import datetime
 from shepherd_ros.recordings.grouping import namespaces, RecordedGroups, STATES
 from shepherd_ros.rosbag2.bag import Bag
 from shepherd_ros.rosbag2.metadata import NO_START, TopicInfo
-from shepherd_ros.rosbag2.qos import agreed, duration_ns
+from shepherd_ros.rosbag2.qos import agreed_policy, duration_ns
 from shepherd_ros.wire.topics import GOAL
 
 INDENT = 19  # as in ros2 bag info
@@ -180,8 +180,8 @@ def _time(ns: int) -> str:
 
 def _topic(topic: TopicInfo) -> str:
     names = ('deadline', 'lifespan', 'liveliness', 'liveliness_lease_duration')
-    offers = {name: agreed(topic.qos, name) for name in names}
-    special = [
+    offers = {name: agreed_policy(topic.qos, name) for name in names}
+    policies = [
         f'{name.removeprefix("liveliness_").removesuffix("_duration")} '
         + (value if isinstance(value, str) else f'{duration_ns(value) / 1e9:g} s')
         for name, value in offers.items()
@@ -190,7 +190,7 @@ def _topic(topic: TopicInfo) -> str:
     return (
         f'Topic: {topic.name} | Type: {topic.type} | Count: {topic.count} | '
         f'Serialization Format: {topic.serialization}'
-        + (f' | {", ".join(special)}' if special else '')
+        + (f' | {", ".join(policies)}' if policies else '')
     )
 
 

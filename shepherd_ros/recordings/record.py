@@ -1,4 +1,4 @@
-"""Episodes of the environment as bags, the same as those recorded from a running stack."""
+"""Recording of episodes of the environment as bags, as from a running stack."""
 
 from __future__ import annotations
 
@@ -74,10 +74,10 @@ class EpisodeBag:
         labels: tuple[str, Sequence[Sequence[float]]] = ('', ()),
     ) -> None:
         """
-        Write a state, what was seen of it, what was commanded and how it counts.
+        Write a state with its scans, commands and metrics.
 
         The state before gives the shepherds' headings; ranges (C, R) m and commands (2,) m/s are
-        those of each shepherd, and so are labels, in a namespace: what another one would command.
+        those of each shepherd, and so are labels, in a namespace: another controller's commands.
         """
         episode = self.episode
         frame, team = episode.frame_id, episode.n_shepherds
@@ -89,9 +89,9 @@ class EpisodeBag:
             self.goal = state.goal.tolist()
             self.put(GOAL, encode_goal(ns, frame, *self.goal))
         self.put(CLOCK, encode_clock(ns))
-        moved = unit(state.shepherds - before.shepherds)
+        heading_of_shepherds = unit(state.shepherds - before.shepherds)
         for name, position, heading in (
-            (SHEPHERD_POSES, state.shepherds[:team], moved[:team]),
+            (SHEPHERD_POSES, state.shepherds[:team], heading_of_shepherds[:team]),
             (SHEEP_POSES, state.sheep, state.heading),
         ):
             self.put(name, encode_poses(ns, frame, position.numpy(), heading.numpy()))
@@ -128,7 +128,7 @@ def record_episodes(
     """
     Write the episodes with consecutive seeds, one bag each, all at the same time.
 
-    A bag appears under its name when it is whole; on_step(worlds) is called after each step.
+    A bag gets its name when it is complete; on_step(worlds) is called after each step.
     """
     world = config.world
     moment = start(spawn(world, torch.arange(seeds.start, seeds.stop)), config)
@@ -140,7 +140,7 @@ def record_episodes(
 def open_bags(
     out: Path, world: WorldConfig, first: WorldState, compression: str
 ) -> list[EpisodeBag]:
-    """Return an unfinished bag for each world (B) that starts."""
+    """Return an open bag for each world (B), with a hidden name until close_bags()."""
     bags = []
     for k, seed in enumerate(first.seed.tolist()):
         folder = out / f'.{episode_folder(out, seed).name}'
@@ -150,7 +150,7 @@ def open_bags(
 
 
 def close_bags(out: Path, bags: Sequence[EpisodeBag]) -> None:
-    """Finish bags and give them the names of their seeds."""
+    """Close bags and rename them by their seeds."""
     for bag in bags:
         bag.writer.close()
         bag.writer.folder.rename(episode_folder(out, bag.episode.seed))
@@ -165,8 +165,8 @@ def write_moment(
     """
     Write a moment of worlds (B) into the bag of each.
 
-    command (B, H, 2) m/s is given in it, none after the last step; labels, in a namespace, are
-    what another one would command.
+    command (B, H, 2) m/s is that of the moment, None after the last step; labels, in a namespace,
+    are another controller's commands.
     """
     ranges, lidar = moment.ranges.numpy(), moment.config.lidar
     values = moment.metrics(bags[0].episode.episode_steps)
@@ -191,9 +191,9 @@ def drive(
     on_step: Callable[[int], None] = lambda worlds: None,
 ) -> None:
     """
-    Let a controller drive on to the end of the episode, and write each world (B) into its bag.
+    Run a controller to the end of the episode, and write each world (B) into its bag.
 
-    goals (2,) m are where the goal has been moved at some steps; on_step(worlds) is called after
+    goals (2,) m are positions to which the goal moves, by step; on_step(worlds) is called after
     each step.
     """
     last = moment.config.world.episode_steps
@@ -206,7 +206,7 @@ def drive(
 
 
 def describe_episode(world: WorldConfig, first: WorldState, seed: int) -> Episode:
-    """Return the description that flock_sim gives of an episode that it begins with."""
+    """Return the description of an episode, as flock_sim publishes it for its first one."""
     return Episode(
         number=0,
         seed=seed,

@@ -1,4 +1,4 @@
-"""Writer of recordings: bags that say which contract their topics are of."""
+"""Writer of recordings: bags with the version of the contract in their metadata."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ EPISODE_KEY = 'shepherd_ros.episode'
 LOST_KEY = 'shepherd_ros.lost'  # JSON: how many messages the recorder missed, by topic
 
 
-def _keep_episode(custom_data: dict[str, str], topic: str, cdr: bytes) -> None:
-    """Take the first episode into the custom data of a recording."""
+def _store_episode(custom_data: dict[str, str], topic: str, cdr: bytes) -> None:
+    """Store the first episode in the custom data of a recording."""
     if CONTRACT_KEY in custom_data and EPISODE_KEY not in custom_data:
-        ours = known(topic)
-        if ours is not None and ours.topic.name == EPISODE:
+        entry = known(topic)
+        if entry is not None and entry.topic.name == EPISODE:
             with suppress(CdrError):
                 custom_data[EPISODE_KEY] = decode_string(cdr)
 
@@ -36,7 +36,7 @@ def recover_recording(
     path: Path | str, folder: Path | str | None = None, *, compression: str = 'none'
 ) -> RecoverResult:
     """Recover a bag as recover() does; the metadata gets the first episode, as in recordings."""
-    return recover(path, folder, compression=compression, on_message=_keep_episode)
+    return recover(path, folder, compression=compression, on_message=_store_episode)
 
 
 def offered_qos(profile: Profile) -> Qos:
@@ -73,7 +73,7 @@ class RecordingWriter(BagWriter):
         hash_text: str | None = None,
         serialization: str = 'cdr',
     ) -> None:
-        """Announce a topic; schema and hash_text are those of the contract by default."""
+        """Add a topic; schema and hash_text are those of the contract by default."""
         if schema is None:
             schema = 'ros2msg', known_text(type_name)
             hash_text = type_hash(type_name) if hash_text is None else hash_text
@@ -87,6 +87,6 @@ class RecordingWriter(BagWriter):
         )
 
     def write(self, topic: str, cdr: bytes, log_ns: int, publish_ns: int) -> None:
-        """Write a message: when it was received and when it was sent [ns]; raises BagError."""
-        _keep_episode(self.custom_data, topic, cdr)
+        """Write a message with its log time and its publish time [ns]; raises BagError."""
+        _store_episode(self.custom_data, topic, cdr)
         super().write(topic, cdr, log_ns, publish_ns)

@@ -1,4 +1,4 @@
-"""A recorded episode as states of the world and as something to look at."""
+"""Replay of recorded episodes: states, metrics and tracks for pictures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from shepherd_ros.config import ConfigError
 from shepherd_ros.recordings.episodes import Frame, RecordedEpisode
 from shepherd_ros.sim.metrics import METRICS
-from shepherd_ros.sim.rollout import arrive, EnvConfig, start
+from shepherd_ros.sim.rollout import advance_to, EnvConfig, start
 from shepherd_ros.sim.state import stack, WorldState
 from shepherd_ros.view.track import EpisodeTrack
 import torch
@@ -16,7 +16,7 @@ import torch
 
 def states_of(episode: RecordedEpisode, frames: Sequence[Frame] | None = None) -> WorldState:
     """
-    Return the recorded states, or some of them, as a batch (T), bit by bit as they were.
+    Return the recorded states, or those of some frames, as a batch (T), exact to the last bit.
 
     A goal that was not recorded is at 0, 0. Raises ConfigError if the radius of the goal is not
     known.
@@ -46,10 +46,10 @@ def _tensor(values: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(np.asarray(values, np.float32))
 
 
-NEIGHBORS = np.arange(
+_ULPS = np.arange(
     -4, 5, dtype=np.int32
 )  # units in the last place that a unit vector may be too long
-ROUNDING = 1e-15  # of a direction on its way through a quaternion
+_ROUNDING = 1e-15  # of a direction on its way through a quaternion
 
 
 def exact_heading(direction: np.ndarray) -> np.ndarray:
@@ -62,16 +62,16 @@ def exact_heading(direction: np.ndarray) -> np.ndarray:
     """
     swap = np.abs(direction[:, 1]) > np.abs(direction[:, 0])
     long, short = np.where(swap[:, None], direction[:, ::-1], direction).T
-    short = np.where(np.abs(short) < ROUNDING, 0.0, short)
-    bits = long.astype(np.float32).view(np.int32)[:, None] + NEIGHBORS
+    short = np.where(np.abs(short) < _ROUNDING, 0.0, short)
+    bits = long.astype(np.float32).view(np.int32)[:, None] + _ULPS
     candidates = bits.view(np.float32).astype(np.float64)
     exact = candidates * (short / long)[:, None]
     others = exact.astype(np.float32).astype(np.float64)
-    off = np.maximum(np.abs(others - exact), ROUNDING) / ROUNDING
-    best = (off + np.abs(np.hypot(candidates, others) - 1)).argmin(axis=1)
+    error = np.maximum(np.abs(others - exact), _ROUNDING) / _ROUNDING
+    best = (error + np.abs(np.hypot(candidates, others) - 1)).argmin(axis=1)
     row = np.arange(len(direction))
-    found = np.stack([candidates[row, best], others[row, best]], axis=-1)
-    return np.where(swap[:, None], found[:, ::-1], found).astype(np.float32)
+    headings = np.stack([candidates[row, best], others[row, best]], axis=-1)
+    return np.where(swap[:, None], headings[:, ::-1], headings).astype(np.float32)
 
 
 def metrics_over_time(states: WorldState, episode_steps: int) -> dict[str, np.ndarray]:
@@ -79,20 +79,18 @@ def metrics_over_time(states: WorldState, episode_steps: int) -> dict[str, np.nd
     moment = start(states.world(0), EnvConfig())
     rows = [moment.metrics(episode_steps)]
     for t in range(1, len(states.step)):
-        moment = arrive(moment, states.world(t))
+        moment = advance_to(moment, states.world(t))
         rows.append(moment.metrics(episode_steps))
     return {name: np.array([float(row[name]) for row in rows]) for name in METRICS}
 
 
 def ranges_of(episode: RecordedEpisode) -> np.ndarray | None:
-    """Return the scans (T, H, C, R) m, inf where one is missing; None if there are none at all."""
+    """Return the scans (T, H, C, R) m, inf for a missing one; None without any."""
     shapes = {scan.shape for frame in episode.frames for scan in frame.scans if scan is not None}
     if len(shapes) != 1:
         return None
-    nothing = np.full(shapes.pop(), np.inf, np.float32)
-    return np.array(
-        [[nothing if s is None else s for s in frame.scans] for frame in episode.frames]
-    )
+    free = np.full(shapes.pop(), np.inf, np.float32)
+    return np.array([[free if s is None else s for s in frame.scans] for frame in episode.frames])
 
 
 def track_of(episode: RecordedEpisode, title: str, parting: int | None = None) -> EpisodeTrack:

@@ -15,7 +15,7 @@ def listen_to_episodes(
     node: ShepherdNode, on_episode: Callable[[Episode, WorldConfig], None]
 ) -> None:
     """Call on_episode(episode, its world) for each new episode; log those that are refused."""
-    present: list[Episode] = []
+    current: list[Episode] = []
 
     def receive(text: str) -> None:
         try:
@@ -24,8 +24,8 @@ def listen_to_episodes(
         except ConfigError as error:
             node.get_logger().error(str(error))
             return
-        if [episode] != present:  # flock_sim repeats the present one to those who are silent
-            present[:] = [episode]
+        if [episode] != current:  # flock_sim repeats the current one while a shepherd is silent
+            current[:] = [episode]
             on_episode(episode, world)
 
     node.listen(EPISODE, receive)

@@ -23,8 +23,8 @@ from shepherd_ros.wire.topics import CLOCK, contract, row_of, SHEPHERD, Topic, W
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 EXECUTORS = ('events', 'single')
-RIVAL_PERIOD = 0.2  # [s] between two looks at who publishes what only one node may
-UNNAMED = '_NODE_NAME_UNKNOWN_'  # of a publisher whose node DDS has not told of yet
+PUBLISHER_CHECK_PERIOD = 0.2  # [s] between two checks of topics that one node alone may publish
+UNKNOWN_NODE_NAME = '_NODE_NAME_UNKNOWN_'  # of a publisher whose node DDS has not discovered yet
 
 
 def message_type(name: str) -> Any:
@@ -47,7 +47,9 @@ def quality(topic: str, subscribe: bool = False) -> QoSProfile:
 class ShepherdNode(ParameterNode):
     """A node with topics from the contract and a report on /diagnostics every second."""
 
-    backlog: ClassVar[int] = 0  # messages that wait for it at least, if that is more than usual
+    backlog: ClassVar[int] = (
+        0  # least depth of its subscriptions' queues, where the profile has less
+    )
 
     def __init__(
         self, name: str, *, transport: IntraProcessTransport | None = None, **kwargs: Any
@@ -57,9 +59,9 @@ class ShepherdNode(ParameterNode):
         self.transport = transport
         self.finished = False  # a node sets this to end its process
         self.unreadable: Counter[str] = Counter()  # messages that could not be decoded, by topic
-        self.sole: set[str] = set()  # topics that one node alone may publish, which it hears or is
-        self.rivals: dict[str, list[str]] = {}  # who publishes such a topic if several do
-        self.faulty = False  # whether messages or rivals were ever wrong
+        self.exclusive_topics: set[str] = set()  # topics of this node that one node may publish
+        self.rivals: dict[str, list[str]] = {}  # nodes that publish such a topic, if several do
+        self.had_faults = False  # whether messages or rivals were ever wrong
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.frame_id: str = self.option('frame_id', WORLD_FRAME, 'name of the world frame')
         self.executor_kind: str = self.option(
@@ -70,9 +72,9 @@ class ShepherdNode(ParameterNode):
         self.shepherd_frame = f'{self.get_namespace()}/{SHEPHERD}'.lstrip('/')
         self._diagnostics = self.advertise('/diagnostics')
         self.timer(1.0, self.publish_diagnostics)
-        self.timer(RIVAL_PERIOD, self.find_rivals)
+        self.timer(PUBLISHER_CHECK_PERIOD, self.find_rivals)
         if self.get_parameter('use_sim_time').value:
-            self.sole.add(CLOCK)
+            self.exclusive_topics.add(CLOCK)
 
     def option(
         self, name: str, default: Any, doc: str, read_only: bool = True, **limits: Any
@@ -85,7 +87,7 @@ class ShepherdNode(ParameterNode):
         row = row_of(topic)
         name = topic.format(h=shepherd)
         publisher = self.create_publisher(message_type(kind or row.type), name, quality(topic))
-        self._expect_one(row, publisher)
+        self._watch_publishers(row, publisher)
         return (
             publisher
             if self.transport is None
@@ -129,43 +131,43 @@ class ShepherdNode(ParameterNode):
         subscription = self.create_subscription(
             message_type(kind), name, receive, profile, raw=True
         )
-        self._expect_one(row, subscription)
+        self._watch_publishers(row, subscription)
         if self.transport is not None:
             self.transport.add(subscription)
         return subscription
 
-    def _expect_one(self, row: Topic, end: Publisher | Subscription) -> None:
-        """Look for rivals on a topic that one executable alone publishes, and no user."""
+    def _watch_publishers(self, row: Topic, end: Publisher | Subscription) -> None:
+        """Check the publishers of a topic that one executable publishes, and no user."""
         if len(row.publisher) == 1 and row.publisher != ('user',):
-            self.sole.add(end.topic_name)
+            self.exclusive_topics.add(end.topic_name)
 
     def destroy_publisher(self, publisher: Output) -> bool:
-        """Destroy a publisher that advertise() gave."""
+        """Destroy a publisher of advertise(); return whether it existed."""
         if isinstance(publisher, IntraProcessPublisher):
             publisher = publisher.publisher
-        self.sole.discard(publisher.topic_name)
+        self.exclusive_topics.discard(publisher.topic_name)
         return bool(super().destroy_publisher(publisher))
 
     def destroy_subscription(self, subscription: Subscription) -> bool:
-        """Destroy a subscription that listen() gave."""
-        self.sole.discard(subscription.topic_name)
+        """Destroy a subscription of listen(); return whether it existed."""
+        self.exclusive_topics.discard(subscription.topic_name)
         if self.transport is not None:
             self.transport.remove(subscription)
         return bool(super().destroy_subscription(subscription))
 
     def timer(self, period: float, callback: Callable[[], None]) -> Timer:
-        """Return a timer in wall time [s], whatever the simulated clock does."""
+        """Return a timer with a period in wall time [s], also with a simulated clock."""
         return self.create_timer(period, callback, clock=self.steady)
 
     def wall(self) -> float:
-        """Return seconds of a wall clock that never jumps."""
+        """Return the time of a monotonic wall clock [s]."""
         return time.monotonic()
 
     def serve(self) -> None:
         """Open what the node serves; not called for help or documentation."""
 
     def end(self) -> int:
-        """Finish what was begun and return the exit code of the process."""
+        """Finish the work of the node and return the exit code of the process."""
         return 0
 
     def diagnose(self) -> list[DiagnosticStatus]:
@@ -176,7 +178,7 @@ class ShepherdNode(ParameterNode):
         """Return the full names of the nodes that publish a topic, sorted."""
         return sorted(
             'a node not yet named'
-            if info.node_name == UNNAMED
+            if info.node_name == UNKNOWN_NODE_NAME
             else f'{info.node_namespace.rstrip("/")}/{info.node_name}'
             for info in self.get_publishers_info_by_topic(topic)
         )
@@ -186,9 +188,11 @@ class ShepherdNode(ParameterNode):
         return f'{topic} ({", ".join(self.publishers_of(topic)) or "nobody publishes it"})'
 
     def find_rivals(self) -> None:
-        """Name the nodes that publish what only one may, once per set of nodes."""
-        several = [name for name in sorted(self.sole) if self.count_publishers(name) > 1]
-        rivals = {name: self.publishers_of(name) for name in several}
+        """Log the nodes that share a topic that only one may publish, once per set of nodes."""
+        contested = [
+            name for name in sorted(self.exclusive_topics) if self.count_publishers(name) > 1
+        ]
+        rivals = {name: self.publishers_of(name) for name in contested}
         if rivals == self.rivals:
             return
         for name, writers in rivals.items():
@@ -198,24 +202,24 @@ class ShepherdNode(ParameterNode):
                     'expected one: stop the others, or give each world a namespace of its own '
                     'and all but one publish_clock:=false'
                 )
-        self.rivals, self.faulty = rivals, True
+        self.rivals, self.had_faults = rivals, True
         self.on_rivals()
 
     def on_rivals(self) -> None:
-        """Do what is to be done when rivals have come or gone."""
+        """React to a change of the rivals; nothing by default."""
 
     def diagnose_inputs(self) -> list[DiagnosticStatus]:
-        """Return what was wrong with messages before anybody looked at what they say, if ever."""
+        """Return the status of rivals and unreadable messages; empty if there never were any."""
         level, message = OK, 'every message can be read'
         if self.rivals:
             level, message = ERROR, 'several nodes publish ' + ', '.join(self.rivals)
         elif self.unreadable:
             level, message = WARN, 'cannot be read: ' + ', '.join(sorted(self.unreadable))
         shown = [self.status('inputs', level, message, **self.unreadable)]
-        return shown if self.faulty or self.unreadable else []
+        return shown if self.had_faults or self.unreadable else []
 
     def status(self, part: str, level: bytes, message: str, **values: Any) -> DiagnosticStatus:
-        """Return one status; names are as diagnostic_updater makes them."""
+        """Return one status, named as by diagnostic_updater."""
         return DiagnosticStatus(
             name=f'{self.get_fully_qualified_name().lstrip("/")}: {part}',
             level=level,
@@ -225,7 +229,7 @@ class ShepherdNode(ParameterNode):
         )
 
     def publish_diagnostics(self) -> None:
-        """Publish what diagnose() says; the stamp is wall time, as diagnostics tools expect."""
+        """Publish diagnose(); the stamp is wall time, as diagnostics tools expect."""
         message = DiagnosticArray(status=self.diagnose() + self.diagnose_inputs())
         message.header.stamp = Clock(clock_type=ClockType.SYSTEM_TIME).now().to_msg()
         self._diagnostics.publish(message)

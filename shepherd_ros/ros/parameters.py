@@ -1,4 +1,4 @@
-"""ROS parameters from the same options as everything else, checked before rclpy sees them."""
+"""ROS parameters made of the options of configurations, checked before they are declared."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from rclpy.node import Node
 from shepherd_ros.config import checked, choices_of, Config, ConfigError
 
 _C = TypeVar('_C', bound=Config)
-_LARGEST_INT = 2**62
-_LARGEST_FLOAT = 1e12
+_MAX_INT = 2**62
+_MAX_FLOAT = 1e12
 
 
 class ParameterNode(Node):
-    """A node that keeps what the user set, so that it is checked before it is declared."""
+    """A node that keeps its parameter overrides, so that they are checked before declaration."""
 
-    given: dict[str, Any] | None = None  # by name; None for an empty list
+    overrides: dict[str, Any] | None = None  # by name; None for an empty list
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         """Create the node; the arguments are those of rclpy's Node."""
@@ -29,9 +29,9 @@ class ParameterNode(Node):
     def declare_parameters(
         self, namespace: str, parameters: list[Any], ignore_override: bool = False
     ) -> list[Any]:
-        """Declare parameters; keep those that rclpy offers first, which the user set."""
-        if self.given is None:
-            self.given = {
+        """Declare parameters; the first call, which rclpy makes, stores the overrides."""
+        if self.overrides is None:
+            self.overrides = {
                 name: list(value) if isinstance(value, array) else value
                 for name, value, _ in parameters
             }
@@ -40,25 +40,25 @@ class ParameterNode(Node):
 
 
 def descriptor(default: Any, option: Mapping[str, Any], read_only: bool) -> ParameterDescriptor:
-    """Return description and range of a parameter, as `ros2 param describe` shows them."""
+    """Return description and range of a parameter, shown by `ros2 param describe`."""
     result = ParameterDescriptor(description=option['doc'], read_only=read_only)
     low, high = option.get('low'), option.get('high')
     if choices := choices_of(option):
         result.additional_constraints = 'one of ' + ', '.join(choices)
     bounded = low is not None or high is not None
     if bounded and isinstance(default, float):
-        low = -_LARGEST_FLOAT if low is None else float(low)
-        high = _LARGEST_FLOAT if high is None else float(high)
+        low = -_MAX_FLOAT if low is None else float(low)
+        high = _MAX_FLOAT if high is None else float(high)
         result.floating_point_range = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
     elif bounded and isinstance(default, int):
-        low = -_LARGEST_INT if low is None else int(low)
-        high = _LARGEST_INT if high is None else int(high)
+        low = -_MAX_INT if low is None else int(low)
+        high = _MAX_INT if high is None else int(high)
         result.integer_range = [IntegerRange(from_value=low, to_value=high, step=0)]
     return result
 
 
-def _listed(name: str, value: Any, default: Any) -> Any:
-    """Return the value; ConfigError if it is empty or a list of another type than the default."""
+def _checked_list(name: str, value: Any, default: Any) -> Any:
+    """Return the value; ConfigError if it is empty, or a list of another type than the default."""
     if value is None:  # what rcl makes of []
         raise ConfigError(f'{name} is empty: expected a value, such as {default!r}')
     if isinstance(value, list) and isinstance(default, list):
@@ -73,10 +73,10 @@ def _listed(name: str, value: Any, default: Any) -> Any:
 def declare(
     node: ParameterNode, name: str, default: Any, option: Mapping[str, Any], read_only: bool = True
 ) -> Any:
-    """Declare one parameter and return its value; ConfigError names a bad one and the fix."""
+    """Declare one parameter and return its value, or raise ConfigError for a bad one."""
     value = default
-    if node.given and name in node.given:
-        value = checked(name, _listed(name, node.given[name], default), default, option)
+    if node.overrides and name in node.overrides:
+        value = checked(name, _checked_list(name, node.overrides[name], default), default, option)
     described = descriptor(default, option, read_only)
     node.declare_parameter(name, value, described, ignore_override=True)
     return value
@@ -116,10 +116,10 @@ def _mapped(config: _C, value_of: Callable[[str, Any, Mapping[str, Any]], Any]) 
 
 
 def warn_of_unknown(node: ParameterNode) -> None:
-    """Warn of parameters that were given but that this node does not have: most likely typos."""
+    """Log a warning for overrides of parameters that this node does not have."""
     known = node.list_parameters([], 0).names
-    for name in node.given or ():
+    for name in node.overrides or ():
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f'; did you mean {near[0]}?' if near else ''
+            matches = difflib.get_close_matches(name, known, n=1)
+            hint = f'; did you mean {matches[0]}?' if matches else ''
             node.get_logger().warning(f'parameter {name} is not known to this node{hint}')

@@ -1,4 +1,4 @@
-"""Life of a node's process: start, spin, end with a message and the right exit code."""
+"""Process of a node: start, spin, and end with a message and an exit code."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from typing import Any
 import rclpy
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, SingleThreadedExecutor
+
+# Jazzy has no public name for the errors of rcl
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.parameter import parameter_value_to_python
@@ -23,11 +25,11 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.ros.parameters import warn_of_unknown
 
-USER_MISTAKE = 2
+EXIT_USAGE = 2
 LAST_DOMAIN = 232  # the ports of the next are too high
 SIGNAL_POLL_PERIOD = 0.1  # [s] after which a signal is seen at the latest
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-DDS_SHUTDOWN_TIMEOUT = 10.0  # [s] that DDS has to let go when all work is done
+DDS_SHUTDOWN_TIMEOUT = 10.0  # [s] for the shutdown of DDS after the end of all work
 
 
 def make_executor(kind: str, context: Any = None) -> Executor:
@@ -49,16 +51,16 @@ def spin(nodes: Sequence[ShepherdNode], until: Callable[[], bool] = lambda: Fals
         id(node.transport): node.transport for node in nodes if node.transport is not None
     }.values()
     for transport in transports:
-        transport.deliver_by(executor.create_task)
+        transport.deliver_with(executor.create_task)
     try:
         # a time-out, as the events executor of Jazzy hangs without one
         while context.ok() and not until():
             executor.spin_once(timeout_sec=SIGNAL_POLL_PERIOD)
             for transport in transports:
-                transport.check()
+                transport.raise_failure()
     finally:
         for transport in transports:
-            transport.deliver_by(None)
+            transport.deliver_with(None)
         for node in nodes:
             executor.remove_node(node)
         executor.shutdown(timeout_sec=1.0)
@@ -76,15 +78,15 @@ def help_text(node: ShepherdNode, doc: str) -> str:
 
 
 def show_help(node: ShepherdNode, doc: str) -> None:
-    """Print the help; a reader that has had enough, such as head, is no error."""
+    """Print the help; a closed pipe, as of head, is no error."""
     try:
         print(help_text(node, doc), flush=True)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def hide() -> None:
-    """Let the nodes of this process be found by nobody and say nothing, as help needs them."""
+def disable_discovery() -> None:
+    """Turn discovery and logs of this process off, for nodes that only print their help."""
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'OFF'
     set_logger_level('', LoggingSeverity.FATAL)
 
@@ -93,48 +95,48 @@ def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None)
     """
     Run a node as a process; return its exit code, that of node.end() after a stop signal.
 
-    options is a dataclass that the words of the command line fill; the node is made with it. Where
-    several nodes are made, they run together, and the first says when and how they end.
+    options is a dataclass filled from the command line, the argument of make_node. If that returns
+    several nodes, they run together, and the first one decides when and how they end.
     """
     # rclpy's own handlers would end the context in the midst of a callback that publishes
-    came: list[int] = []
+    received: list[int] = []
     for number in STOP_SIGNALS:
         if (number, signal.getsignal(number)) != (signal.SIGHUP, signal.SIG_IGN):  # nohup's
-            signal.signal(number, lambda number, frame: came.append(number))
+            signal.signal(number, lambda number, frame: received.append(number))
     nodes: list[ShepherdNode] = []
-    code = USER_MISTAKE
+    code = EXIT_USAGE
     try:
-        words = remove_ros_args(sys.argv)[1:]
+        arguments = remove_ros_args(sys.argv)[1:]
         if options is not None:
-            make_node, words = partial(make_node, from_words(options, name, words)), []
-        strange = [word for word in words if word not in ('-h', '--help')]
-        if strange:
+            make_node, arguments = partial(make_node, parse_options(options, name, arguments)), []
+        unknown = [word for word in arguments if word not in ('-h', '--help')]
+        if unknown:
             raise ConfigError(
-                f'unknown argument {strange[0]!r}: expected --help, or --ros-args followed by '
+                f'unknown argument {unknown[0]!r}: expected --help, or --ros-args followed by '
                 '-p name:=value, -r from:=to or --params-file FILE'
             )
-        if words:
-            hide()
+        if arguments:
+            disable_discovery()
         init_rclpy(signal_handler_options=SignalHandlerOptions.NO)
-        made = make_node()
-        nodes = made if isinstance(made, list) else [made]
-        if words:
+        created = make_node()
+        nodes = created if isinstance(created, list) else [created]
+        if arguments:
             show_help(nodes[0], doc)
         else:
             for node in nodes:
                 warn_of_unknown(node)
                 node.serve()
-            spin(nodes, until=lambda: nodes[0].finished or bool(came))
-        code = 0 if words else nodes[0].end()
+            spin(nodes, until=lambda: nodes[0].finished or bool(received))
+        code = 0 if arguments else nodes[0].end()
     except (ConfigError, ParameterException) as error:
         print(f'{name}: {error}', file=sys.stderr)
     except Exception as error:
-        mistake = rcl_mistake(error)
-        if mistake is None:
+        message = ros_args_error(error)
+        if message is None:
             raise
-        print(f'{name}: {mistake}', file=sys.stderr)
+        print(f'{name}: {message}', file=sys.stderr)
     finally:
-        leave(nodes, name, code)
+        shut_down(nodes, name, code)
         # the end of Python gives handlers up, so a second signal would kill
         for number in STOP_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
@@ -142,7 +144,7 @@ def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None)
 
 
 def init_rclpy(**options: Any) -> None:
-    """Begin rclpy with options of rclpy.init(); ConfigError names the variable that forbids it."""
+    """Call rclpy.init() with options; ConfigError names the variable that makes it fail."""
     domain = os.environ.get('ROS_DOMAIN_ID', '')
     if domain and not (domain.isdecimal() and int(domain) <= LAST_DOMAIN):
         raise ConfigError(
@@ -151,15 +153,15 @@ def init_rclpy(**options: Any) -> None:
     try:
         rclpy.init(**options)
     except _rclpy.RCLError as error:
-        text = _in_one_line(error)
-        if 'initialize logging' in text:
+        reason = _in_one_line(error)
+        if 'initialize logging' in reason:
             raise ConfigError(
-                f'{text}: expected a folder in which logs can be written; set ROS_LOG_DIR to one'
+                f'{reason}: expected a folder in which logs can be written; set ROS_LOG_DIR to one'
             ) from None
         if os.environ.get('ROS_SECURITY_ENABLE') == 'true':
             keys = os.environ.get('ROS_SECURITY_KEYSTORE', '')
             raise ConfigError(
-                f'security is on and ROS_SECURITY_KEYSTORE is {keys!r} ({text}): expected a '
+                f'security is on and ROS_SECURITY_KEYSTORE is {keys!r} ({reason}): expected a '
                 'keystore with an enclave of this process; without security set '
                 'ROS_SECURITY_ENABLE=false'
             ) from None
@@ -167,20 +169,20 @@ def init_rclpy(**options: Any) -> None:
 
 
 def _in_one_line(error: Exception) -> str:
-    """Return the words of rcl without the places in its code."""
+    """Return the message of an rcl error without the places in its code."""
     return re.sub(r', at \S+:\d+', '', ' '.join(str(error).split()))
 
 
-def leave(nodes: Sequence[ShepherdNode], name: str, code: int) -> None:
-    """End nodes and context; where DDS does not let go, end the process with its exit code."""
+def shut_down(nodes: Sequence[ShepherdNode], name: str, code: int) -> None:
+    """Destroy nodes and context; end the process with its exit code where DDS hangs."""
 
-    def give_up() -> None:
+    def exit_now() -> None:
         os.write(
             2, f'{name}: DDS did not let go within {DDS_SHUTDOWN_TIMEOUT:g} s: left it\n'.encode()
         )
         os._exit(code)
 
-    timer = Timer(DDS_SHUTDOWN_TIMEOUT, give_up)
+    timer = Timer(DDS_SHUTDOWN_TIMEOUT, exit_now)
     timer.daemon = True
     timer.start()
     for node in nodes:
@@ -189,20 +191,20 @@ def leave(nodes: Sequence[ShepherdNode], name: str, code: int) -> None:
     timer.cancel()
 
 
-def from_words(options: Any, name: str, words: list[str]) -> Any:
-    """Return the options that the words of a command line ask for."""
+def parse_options(options: Any, name: str, words: list[str]) -> Any:
+    """Return the options parsed from the arguments of a command line."""
     import tyro  # only nodes with options need it
 
     return tyro.cli(options, prog=name, args=words)
 
 
-def rcl_mistake(error: Exception) -> str | None:
-    """Return the words for a command line or parameter file that rcl refuses, else None."""
+def ros_args_error(error: Exception) -> str | None:
+    """Return the message for a command line or parameter file that rcl refuses, else None."""
     text = _in_one_line(error)
     if isinstance(error, _rclpy.UnknownROSArgsError):
         text = f'unknown words after --ros-args: {text}'
     elif not isinstance(error, _rclpy.RCLInvalidROSArgsError):
-        about = 'arg' in text or 'param' in text or 'yaml' in text.lower()
-        if not (isinstance(error, _rclpy.RCLError) and about):
+        concerns_arguments = 'arg' in text or 'param' in text or 'yaml' in text.lower()
+        if not (isinstance(error, _rclpy.RCLError) and concerns_arguments):
             return None
     return f'{text}: check the words after --ros-args and the file of --params-file'

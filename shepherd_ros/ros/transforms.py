@@ -1,4 +1,4 @@
-"""The shepherds' frames on /tf, where tf2_msgs is installed (it is with ROS, not from PyPI)."""
+"""The shepherds' frames on /tf, where tf2_msgs is installed (it comes with ROS, not from PyPI)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ except ImportError:
 def shepherd_transforms(
     ns: int, world: str, shepherds: Tensor, frame: str = SHEPHERD
 ) -> list[TransformStamped]:
-    """Return the transform from the world to each shepherd's frame, which never turns."""
+    """Return the transform from the world to each shepherd's frame, without rotation."""
     transforms = []
     for h, (x, y) in enumerate(shepherds.tolist()):
         transform = TransformStamped(child_frame_id=frame.format(h=h))
@@ -38,7 +38,7 @@ class TransformOutput:
         )
 
     def publish(self, ns: int, shepherds: Tensor) -> None:
-        """Publish where the shepherds are, (H, 2) m, if anybody wants to know."""
+        """Publish the positions of the shepherds, (H, 2) m, if /tf has a subscriber."""
         if self.publisher is not None and self.publisher.get_subscription_count():
             frames = self.node.frame_id, shepherds, self.node.shepherd_frame
             self.publisher.publish(TFMessage(transforms=shepherd_transforms(ns, *frames)))

@@ -19,23 +19,23 @@ from torch import Tensor
 LOCKSTEP_SILENCE_TIMEOUT = 3.0  # [s] without a state after which a world in lockstep is gone
 
 
-@lru_cache(maxsize=4)  # nodes in one process hear the same bytes
-def _hear(raw: bytes) -> tuple[int, str, Tensor, Tensor, bool]:
+@lru_cache(maxsize=4)  # nodes in one process receive the same bytes
+def _decode_poses(raw: bytes) -> tuple[int, str, Tensor, Tensor, bool]:
     """Return stamp [ns], frame, positions (K, 2) m, headings (K, 2), whether they are finite."""
-    ns, frame_id, xy, way = decode_poses(raw)
+    ns, frame_id, xy, direction = decode_poses(raw)
     with np.errstate(all='ignore'):  # what float32 cannot hold is not finite
-        position, heading = xy.astype(np.float32), way.astype(np.float32)
+        position, heading = xy.astype(np.float32), direction.astype(np.float32)
     finite = bool(np.isfinite(position).all() and np.isfinite(heading).all())
     return ns, frame_id, torch.from_numpy(position), torch.from_numpy(heading), finite
 
 
 class Listener:
     """
-    Calls on_state(stamp_ns, true state, episode) for every state of the world that is heard whole.
+    Calls on_state(stamp_ns, true state, episode) for every complete state of the world.
 
     on_episode(episode, its world) comes before its first state. A state may come again with the
-    same stamp: flock_sim repeats one that nobody answers. A state older than the last one means
-    that the simulator or a bag started anew, and is passed on.
+    same stamp: flock_sim repeats one without a response. A state older than the last one means
+    that the simulator or a bag has restarted, and is passed on.
     """
 
     def __init__(
@@ -50,19 +50,19 @@ class Listener:
         self.episode: Episode | None = None
         self.goal: Tensor | None = None
         self.states = 0
-        self.heard = node.wall()  # when the last state came
-        self._halves: dict[str, tuple[int, Tensor, Tensor]] = {}
-        self._same: dict[str, Tensor] = {}  # what all states of the episode share
+        self.last_state_time = node.wall()  # when the last state came
+        self._poses: dict[str, tuple[int, Tensor, Tensor]] = {}
+        self._constants: dict[str, Tensor] = {}  # what all states of the episode share
         listen_to_episodes(node, self._on_episode)
         node.listen(GOAL, self._on_goal)
         for topic in (SHEEP_POSES, SHEPHERD_POSES):
-            node.listen(topic, partial(self._on_poses, topic), decode=_hear)
+            node.listen(topic, partial(self._on_poses, topic), decode=_decode_poses)
 
     def silence(self) -> str:
-        """Return what is missing if no state comes, with who publishes it, else ''."""
+        """Return a message if no state arrives, with the topic's publishers, else ''."""
         if self.states == 0:
             return 'no state of the world heard yet'
-        waited = self.node.wall() - self.heard
+        waited = self.node.wall() - self.last_state_time
         lockstep = self.episode is not None and self.episode.mode == 'lockstep'
         if (
             not lockstep or waited < LOCKSTEP_SILENCE_TIMEOUT
@@ -72,7 +72,7 @@ class Listener:
 
     def _on_episode(self, episode: Episode, world: WorldConfig) -> None:
         self.episode = episode
-        self._same = {
+        self._constants = {
             'seed': torch.tensor(episode.seed),
             'sheep_mask': torch.ones(episode.n_sheep, dtype=torch.bool),
             'shepherd_mask': torch.ones(episode.n_shepherds, dtype=torch.bool),
@@ -103,7 +103,7 @@ class Listener:
                 throttle_duration_sec=5.0,
             )
             return
-        self._halves[topic] = (ns, position, heading)
+        self._poses[topic] = (ns, position, heading)
         self._pair()
 
     def _known_frame(self, topic: str, frame_id: str) -> bool:
@@ -117,24 +117,24 @@ class Listener:
         return False
 
     def _pair(self) -> None:
-        """Pass on the state if both halves have the same stamp and its episode is known."""
+        """Call on_state() if both poses have the same stamp and its episode is known."""
         episode, goal = self.episode, self.goal
-        if len(self._halves) < 2 or episode is None or goal is None:
+        if len(self._poses) < 2 or episode is None or goal is None:
             return
-        ns, sheep, heading = self._halves[SHEEP_POSES]
-        other, shepherds, _ = self._halves[SHEPHERD_POSES]
-        if ns != other or not episode.has(ns):
+        ns, sheep, heading = self._poses[SHEEP_POSES]
+        shepherd_ns, shepherds, _ = self._poses[SHEPHERD_POSES]
+        if ns != shepherd_ns or not episode.has(ns):
             return
         if len(sheep) != episode.n_sheep or len(shepherds) != episode.n_shepherds:
             return
-        self._halves.clear()
-        self.states, self.heard = self.states + 1, self.node.wall()
+        self._poses.clear()
+        self.states, self.last_state_time = self.states + 1, self.node.wall()
         state = WorldState(
             step=torch.tensor(episode.step_of(ns)),
             sheep=sheep,
             heading=heading,
             shepherds=shepherds,
             goal=goal,
-            **self._same,
+            **self._constants,
         )
         self.on_state(ns, state, episode)

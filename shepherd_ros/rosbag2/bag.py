@@ -17,7 +17,7 @@ from shepherd_ros.rosbag2.qos import read_qos
 
 
 class BagMessage(NamedTuple):
-    """A message as it was recorded: when it was received and when it was sent [ns]."""
+    """A recorded message with its log time and its publish time [ns]."""
 
     topic: str
     type: str
@@ -30,7 +30,7 @@ class Bag:
     """A bag that can be read any number of times; no file stays open."""
 
     def __init__(self, path: Path, files: list[Path], metadata: Metadata | None) -> None:
-        """Read what the ends of all files say."""
+        """Read the summaries at the ends of all files."""
         self.path, self.storage = path, STORAGE
         self.storages = [_storage(file, path, len(files)) for file in files]
         self._metadata = metadata
@@ -45,7 +45,7 @@ class Bag:
 
     @property
     def count(self) -> int:
-        """Return how many messages the bag has."""
+        """Return the number of messages in the bag."""
         return sum(storage.count for storage in self.storages)
 
     @property
@@ -63,14 +63,14 @@ class Bag:
         """Return the metadata of metadata.yaml, or else of the last file, None without any."""
         if self._metadata is not None:
             return self._metadata
-        noted = (storage.metadata for storage in reversed(self.storages))
-        return next((metadata for metadata in noted if metadata is not None), None)
+        embedded = (storage.metadata for storage in reversed(self.storages))
+        return next((metadata for metadata in embedded if metadata is not None), None)
 
     @property
-    def noted_count(self) -> int | None:
-        """Return how many messages there are according to metadata.yaml, None without it."""
-        noted = self._metadata
-        return None if noted is None else sum(topic.count for topic in noted.topics)
+    def metadata_count(self) -> int | None:
+        """Return the number of messages according to metadata.yaml, None without it."""
+        metadata = self._metadata
+        return None if metadata is None else sum(topic.count for topic in metadata.topics)
 
     @property
     def custom_data(self) -> dict[str, str]:
@@ -90,34 +90,34 @@ class Bag:
         time. Raises BagError where the bag is damaged.
         """
         end = 2**64 if end_ns is None else end_ns
-        wanted = [self._wanted(storage, topics) for storage in self.storages]
+        channels_by_file = [self._selected_channels(storage, topics) for storage in self.storages]
         chunks = sorted(
             (chunk.start_ns, number, chunk)
             for number, storage in enumerate(self.storages)
             for chunk in storage.chunks
             if chunk.end_ns >= start_ns
             and chunk.start_ns < end
-            and (chunk.channels is None or not chunk.channels.isdisjoint(wanted[number]))
+            and (chunk.channels is None or not chunk.channels.isdisjoint(channels_by_file[number]))
         )
         # log time, file, place in the file, place in the chunk: no two are equal
         heap: list[tuple[int, int, int, int, BagMessage]] = []
-        for first, number, chunk in chunks:
-            self.on_time(first)
-            while heap and heap[0][0] < first:
+        for start, number, chunk in chunks:
+            self.on_time(start)
+            while heap and heap[0][0] < start:
                 yield heapq.heappop(heap)[-1]
-            known = wanted[number]
+            names = channels_by_file[number]
             for place, message in enumerate(self.storages[number].read(chunk)):
-                name = known.get(message.channel)
+                name = names.get(message.channel)
                 if name is not None and start_ns <= message.log_ns < end:
                     item = BagMessage(*name, message.log_ns, message.publish_ns, message.data)
                     heapq.heappush(heap, (message.log_ns, number, chunk.offset, place, item))
         while heap:
             yield heapq.heappop(heap)[-1]
 
-    def _wanted(
+    def _selected_channels(
         self, storage: Storage, topics: Collection[str] | None
     ) -> dict[int, tuple[str, str]]:
-        """Return topic and type of the wanted channels of a file."""
+        """Return topic and type by channel of a file; topics None means all."""
         return {
             channel.id: (channel.topic, _type(storage, channel.schema_id))
             for channel in storage.channels.values()
@@ -128,13 +128,13 @@ class Bag:
         for schema in storage.schemas.values():
             self.schemas.setdefault(schema.name, (schema.encoding, schema.data))
         for channel in storage.channels.values():
-            kind = storage.schemas.get(channel.schema_id)
-            text = (kind.name, kind.encoding, kind.data) if kind else ('', '', b'')
+            record = storage.schemas.get(channel.schema_id)
+            text = (record.name, record.encoding, record.data) if record else ('', '', b'')
             self.definitions[channel.topic].add(text)
             count = storage.counts[channel.id]
-            before = self.topics.get(channel.topic)
-            if before is not None:
-                self.topics[channel.topic] = replace(before, count=before.count + count)
+            known = self.topics.get(channel.topic)
+            if known is not None:
+                self.topics[channel.topic] = replace(known, count=known.count + count)
                 continue
             self.topics[channel.topic] = TopicInfo(
                 name=channel.topic,
@@ -147,17 +147,17 @@ class Bag:
 
 
 def _storage(file: Path, bag: Path, files: int) -> Storage:
-    """Return a file of a bag; raises BagError, with what helps for the whole bag."""
+    """Return a file of a bag; raises BagError, with a fix for the whole bag."""
     try:
         return Storage(file, bag)
     except BagError as error:
         if files > 1 and 'shepherd bag recover' not in str(error):
-            raise BagError(error.path, error.what, other_files(bag)) from error
+            raise BagError(error.path, error.reason, recover_hint(bag)) from error
         raise
 
 
-def other_files(bag: Path) -> str:
-    """Return what helps where one file of a bag is missing or empty."""
+def recover_hint(bag: Path) -> str:
+    """Return the fix where one file of a bag is missing or empty."""
     return f'put it back, or run `shepherd bag recover {bag}` to keep the other files'
 
 

@@ -1,4 +1,4 @@
-"""The files of a bag that is being written, and what is left of them when the disk is full."""
+"""The files of a bag that is being written, and their rescue when the disk is full."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from shepherd_ros.rosbag2.metadata import FILE, FileInfo, Metadata, TopicInfo
 from shepherd_ros.rosbag2.qos import qos_yaml
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a file so that it is there with all of its text or not at all; raises OSError."""
-    part = path.with_name(f'.{path.name}.part')
+def write_atomically(path: Path, text: str) -> None:
+    """Write a file with all of its text or not at all; raises OSError."""
+    temporary = path.with_name(f'.{path.name}.part')
     try:
-        with part.open('w', encoding='utf-8') as file:
+        with temporary.open('w', encoding='utf-8') as file:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
-        part.replace(path)
+        temporary.replace(path)
     except OSError:
-        part.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
         raise
     sync_folder(path.parent)
 
 
 def sync_folder(folder: Path) -> None:
-    """Put the names of the files in a folder on the disk; raises OSError."""
-    handle = os.open(folder, os.O_RDONLY)
+    """Flush the entries of a folder to the disk; raises OSError."""
+    descriptor = os.open(folder, os.O_RDONLY)
     try:
-        os.fsync(handle)
+        os.fsync(descriptor)
     finally:
-        os.close(handle)
+        os.close(descriptor)
 
 
 class BagFiles:
@@ -59,10 +59,10 @@ class BagFiles:
         self.first_ns: int | None = None  # log time in the file being written
         self.schemas: dict[str, tuple[str, bytes]] = {}  # by topic
         self._channels: dict[str, int] = {}  # by topic, in the file being written
-        self._done: list[FileInfo] = []
+        self._finished: list[FileInfo] = []
         self._counts: Counter[str] = Counter()  # in finished files
         self._file: McapFile | None = None
-        self._empty = 0  # [bytes] of the file without any message
+        self._header_bytes = 0  # [bytes] of the file without any message
         folder.mkdir(parents=True)
         try:
             self._begin()
@@ -80,16 +80,16 @@ class BagFiles:
 
     @property
     def written(self) -> int:
-        """Return how many bytes of messages are in the file being written, before packing."""
-        return self.file.size - self._empty
+        """Return the bytes of messages in the file being written, before compression."""
+        return self.file.size - self._header_bytes
 
     @property
     def count(self) -> int:
-        """Return how many messages are in finished files."""
-        return sum(f.count for f in self._done)
+        """Return the number of messages in finished files."""
+        return sum(f.count for f in self._finished)
 
     def add_topic(self, topic: TopicInfo, encoding: str, text: bytes) -> None:
-        """Announce a topic with the schema of its type."""
+        """Add a topic with the schema of its type."""
         self.topics[topic.name], self.schemas[topic.name] = topic, (encoding, text)
         self._register(topic.name)
 
@@ -99,7 +99,7 @@ class BagFiles:
         self.file.add_message(self._channels[topic], log_ns, publish_ns, data)
 
     def split(self) -> None:
-        """Go on in a new file."""
+        """Finish the file and begin a new one."""
         self._finish()
         self._begin()
 
@@ -107,18 +107,18 @@ class BagFiles:
         """Finish the last file and write metadata.yaml."""
         if self._file is not None:
             self._finish()
-        write_whole(self.folder / FILE, self.metadata().document())
+        write_atomically(self.folder / FILE, self.metadata().document())
 
     def rescue(self) -> None:
-        """Finish the bag with what is on the disk, in the space that unfinished records free."""
+        """Finish the bag as it is on the disk, in the space that unfinished records free."""
         if self._file is not None:
             self._rescue(self._file)
         with suppress(OSError):
-            write_whole(self.folder / FILE, self.metadata().document())
+            write_atomically(self.folder / FILE, self.metadata().document())
 
     def metadata(self) -> Metadata:
         """Return the metadata of the bag as it is on the disk."""
-        files, counts = list(self._done), Counter(self._counts)
+        files, counts = list(self._finished), Counter(self._counts)
         if self._file is not None:
             files.append(_file_info(self._file))
             counts.update(_by_topic(self._file))
@@ -127,13 +127,13 @@ class BagFiles:
 
     def _begin(self) -> None:
         name = self.folder.resolve().name.lstrip('.')  # hidden while it is being written
-        path = self.folder / f'{name}_{len(self._done)}.mcap'
+        path = self.folder / f'{name}_{len(self._finished)}.mcap'
         self._file = McapFile(path, self.compression, self.chunk_size)
         self._channels, self.first_ns = {}, None
-        self._note_metadata()
+        self._add_metadata()
         for name in self.topics:
             self._register(name)
-        self._empty = self._file.size
+        self._header_bytes = self._file.size
 
     def _register(self, name: str) -> None:
         topic = self.topics[name]
@@ -143,34 +143,34 @@ class BagFiles:
 
     def _finish(self) -> None:
         self.file.end_chunk()
-        self._note_metadata()
+        self._add_metadata()
         self.file.finish()
-        self._forget()
+        self._count_finished()
 
     def _rescue(self, file: McapFile) -> None:
         for last_chunk in (False, True):
             with suppress(OSError):
                 file.cut(last_chunk)
-                self._note_metadata()
+                self._add_metadata()
                 file.finish()
                 break
         else:
             with suppress(OSError):
                 file.abandon()
-        self._forget()
+        self._count_finished()
 
-    def _forget(self) -> None:
+    def _count_finished(self) -> None:
         """Count a file as done."""
-        self._done.append(_file_info(self.file))
+        self._finished.append(_file_info(self.file))
         self._counts.update(_by_topic(self.file))
         self._file = None
 
-    def _note_metadata(self) -> None:
+    def _add_metadata(self) -> None:
         self.file.add_metadata('rosbag2', {'serialized_metadata': self.metadata().to_yaml()})
 
 
 def _by_topic(file: McapFile) -> dict[str, int]:
-    """Return how many messages are on the disk, by topic."""
+    """Return the number of messages on the disk, by topic."""
     counts = file.counts()
     return {channel.topic: counts[channel.id] for channel in file.channels}
 

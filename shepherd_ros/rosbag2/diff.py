@@ -1,4 +1,4 @@
-"""Compares two bags by what their messages say, as padding in CDR is not reproducible."""
+"""Comparison of two bags by the content of their messages: padding in CDR is not reproducible."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from shepherd_ros.rosbag2.errors import BagError
 
 @dataclass(frozen=True)
 class TopicDiff:
-    """A topic in two bags: how many messages, and where they first differ."""
+    """A topic in two bags: the numbers of its messages, and their first difference."""
 
     topic: str
     left: int  # messages
     right: int
     index: int | None = None  # of the first message that differs
-    what: str = ''  # such as poses[3].position.x: 1.0 and 2.0
+    difference: str = ''  # such as poses[3].position.x: 1.0 and 2.0
 
     @property
     def equal(self) -> bool:
@@ -34,7 +34,9 @@ class TopicDiff:
         if self.equal:
             return f'{self.topic}: {self.left} equal messages'
         counts = f'{self.topic}: {self.left} and {self.right} messages'
-        return counts if self.index is None else f'{counts}; number {self.index}: {self.what}'
+        return (
+            counts if self.index is None else f'{counts}; number {self.index}: {self.difference}'
+        )
 
 
 @dataclass(frozen=True)
@@ -56,18 +58,18 @@ class DiffResult:
 
 def diff_bags(left: Bag, right: Bag, *, times: bool = False, once: bool = False) -> DiffResult:
     """
-    Compare the messages of each topic in their order; raises BagError where a bag is damaged.
+    Return the differences of the messages of each topic; raises BagError where a bag is damaged.
 
     NaN equals NaN. times: the log times have to be equal too. once: only without_repeats() of
-    both. Messages of one bag wait in memory until the other has come as far.
+    both. Messages of one bag wait in memory until the other has as many.
     """
     counts: tuple[Counter[str], Counter[str]] = Counter(), Counter()
-    waiting: defaultdict[str, deque[BagMessage]] = defaultdict(deque)
+    queues: defaultdict[str, deque[BagMessage]] = defaultdict(deque)
     ahead: dict[str, int] = {}  # which bag has messages waiting
     first: dict[str, tuple[int, str]] = {}
     bags, decoders = (left, right), (Decoder(left), Decoder(right))
-    rows = [without_repeats(bag.messages()) if once else bag.messages() for bag in bags]
-    for pair in zip_longest(*rows):
+    streams = [without_repeats(bag.messages()) if once else bag.messages() for bag in bags]
+    for pair in zip_longest(*streams):
         for side, message in enumerate(pair):
             if message is None:
                 continue
@@ -76,15 +78,15 @@ def diff_bags(left: Bag, right: Bag, *, times: bool = False, once: bool = False)
             other = bags[1 - side].topics.get(topic)
             if topic in first or other is None or counts[side][topic] > other.count:
                 continue
-            queue = waiting[topic]
+            queue = queues[topic]
             if not queue or ahead[topic] == side:
                 queue.append(message)
                 ahead[topic] = side
                 continue
-            both = (queue.popleft(), message) if side else (message, queue.popleft())
-            what = _difference(both, decoders, times)
-            if what:
-                first[topic] = counts[side][topic] - 1, what
+            compared = (queue.popleft(), message) if side else (message, queue.popleft())
+            difference = _difference(compared, decoders, times)
+            if difference:
+                first[topic] = counts[side][topic] - 1, difference
                 queue.clear()
     names = sorted({*left.topics, *right.topics})
     return DiffResult(
@@ -94,17 +96,17 @@ def diff_bags(left: Bag, right: Bag, *, times: bool = False, once: bool = False)
 
 def without_repeats(messages: Iterable[BagMessage]) -> Iterator[BagMessage]:
     """
-    Yield messages but those that say exactly the same as the one before them on their topic.
+    Yield messages but those with the same content as the one before them on their topic.
 
-    flock_sim shows a state again that nobody answers, and its readers answer again. That has the
-    same stamp again; what has no stamp, such as metrics, can stay the same from state to state
-    too, and then counts once as well.
+    flock_sim publishes a state again without a response, and its readers answer again, with the
+    same stamp. Messages without a stamp, such as metrics, can stay the same from state to state
+    too, and then count once as well.
     """
-    before: dict[str, bytes] = {}
+    last_data: dict[str, bytes] = {}
     for message in messages:
         content = message.data.rstrip(b'\0')  # padding at the end says nothing
-        if before.get(message.topic) != content:
-            before[message.topic] = content
+        if last_data.get(message.topic) != content:
+            last_data[message.topic] = content
             yield message
 
 
@@ -112,26 +114,26 @@ class Decoder:
     """Decodes any message of a bag by the schemas that the bag carries."""
 
     def __init__(self, bag: Bag) -> None:
-        """Take the schemas; they are read when they are needed."""
+        """Use the schemas of a bag, which are parsed when they are needed."""
         self.bag = bag
         self.store = get_typestore(Stores.EMPTY)
-        self.usable: dict[str, bool] = {}
+        self._decodable: dict[str, bool] = {}
 
-    def knows(self, type_name: str) -> bool:
+    def can_decode(self, type_name: str) -> bool:
         """Return whether messages of a type can be decoded."""
-        if type_name not in self.usable:
+        if type_name not in self._decodable:
             encoding, text = self.bag.schemas.get(type_name, ('', b''))
             texts = {row for rows in self.bag.definitions.values() for row in rows}
-            one = sum(name == type_name for name, _, _ in texts) == 1
-            self.usable[type_name] = one and encoding == 'ros2msg'
-            if self.usable[type_name]:
+            unambiguous = sum(name == type_name for name, _, _ in texts) == 1
+            self._decodable[type_name] = unambiguous and encoding == 'ros2msg'
+            if self._decodable[type_name]:
                 try:
                     types = get_types_from_msg(text.decode(), _as_message(type_name))
-                    missing = {k: v for k, v in types.items() if k not in self.store.types}
-                    self.store.register(missing)
+                    new_types = {k: v for k, v in types.items() if k not in self.store.types}
+                    self.store.register(new_types)
                 except Exception:  # whatever the parser makes of a foreign text
-                    self.usable[type_name] = False
-        return self.usable[type_name]
+                    self._decodable[type_name] = False
+        return self._decodable[type_name]
 
     def decode(self, message: BagMessage) -> Any:
         """Return a message as nested dataclasses of rosbags; raises BagError."""
@@ -146,14 +148,14 @@ class Decoder:
 
 
 def _as_message(type_name: str) -> str:
-    """Return the name under which rosbags keeps a type: it knows no parts of services."""
+    """Return the name of a type in rosbags, which has no parts of services."""
     return type_name.replace('/srv/', '/msg/')
 
 
 def _difference(
     pair: tuple[BagMessage, BagMessage], decoders: tuple[Decoder, Decoder], times: bool
 ) -> str:
-    """Return where two messages differ first, '' if they are equal."""
+    """Return the first difference of two messages, '' if they are equal."""
     left, right = pair
     if left.type != right.type:
         return f'types {left.type} and {right.type}'
@@ -161,7 +163,7 @@ def _difference(
         return f'log times {left.log_ns} and {right.log_ns} ns'
     if left.data == right.data:
         return ''
-    if not all(decoder.knows(left.type) for decoder in decoders):
+    if not all(decoder.can_decode(left.type) for decoder in decoders):
         return 'bytes'
     values = (decoder.decode(message) for decoder, message in zip(decoders, pair, strict=True))
     return next(differences(*values), '')
@@ -181,8 +183,8 @@ def differences(left: Any, right: Any, path: str = '') -> Iterator[str]:
         yield f'{path}: {len(left)} and {len(right) if _is_row(right) else right!r:.60} entries'
     elif isinstance(left, np.ndarray) and left.dtype.kind in 'biuf':
         if not np.array_equal(left, right, equal_nan=left.dtype.kind == 'f'):
-            same = (left == right) | ((left != left) & (right != right))
-            k = int(np.argmin(same))
+            equal = (left == right) | ((left != left) & (right != right))
+            k = int(np.argmin(equal))
             yield f'{path}[{k}]: {left[k]} and {right[k]}'
     else:
         for k, (one, other) in enumerate(zip(left, right, strict=True)):

@@ -10,21 +10,21 @@ RECOVER_HINT = 'run `shepherd bag recover {path}` to keep what can be read'
 
 
 class BagError(ConfigError):
-    """A bag that cannot be read or written: its path, what is wrong, and what to do."""
+    """A bag that cannot be read or written: its path, the reason and the fix."""
 
-    def __init__(self, path: Path | str, what: str, fix: str = RECOVER_HINT) -> None:
-        """Make the sentence; {path} in fix stands for the path."""
-        self.path, self.what = Path(path), what
-        super().__init__(f'{path}: {what}; {fix.replace("{path}", str(path))}')
+    def __init__(self, path: Path | str, reason: str, fix: str = RECOVER_HINT) -> None:
+        """Build the message; {path} in fix stands for the path."""
+        self.path, self.reason = Path(path), reason
+        super().__init__(f'{path}: {reason}; {fix.replace("{path}", str(path))}')
 
 
 class DamageError(ValueError):
-    """Bytes of a file that are not what they should be: where, and what was expected."""
+    """Damaged bytes of a file: the offset and the reason."""
 
-    def __init__(self, offset: int, what: str) -> None:
-        """Take the offset [bytes] in the file and what is wrong there."""
-        self.offset, self.what = offset, what
-        super().__init__(f'{what} at byte {offset}')
+    def __init__(self, offset: int, reason: str) -> None:
+        """Build the message from the offset [bytes] in the file and the reason."""
+        self.offset, self.reason = offset, reason
+        super().__init__(f'{reason} at byte {offset}')
 
 
 def unreadable(path: Path, error: OSError) -> BagError:

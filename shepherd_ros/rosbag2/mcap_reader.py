@@ -1,4 +1,4 @@
-"""Storage of a whole MCAP file: what its end says of it, and its chunks one at a time."""
+"""Storage of a whole MCAP file: the summary at its end, and its chunks one at a time."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from shepherd_ros.rosbag2.records import (
 )
 
 RUN_BYTES = 1 << 20  # [bytes] of messages outside chunks that are read at once
-CUT_OFF = 'it has no end: the recording was cut off'
+NO_END = 'it has no end: the recording was cut off'
 
 
 class ChunkRef(NamedTuple):
@@ -52,13 +52,13 @@ class Storage(Definitions):
     """
 
     def __init__(self, path: Path, bag: Path | None = None) -> None:
-        """Read the summary at the end of the file, or all of it if something is not in it."""
+        """Read the summary at the end of the file, or the whole file if it is not complete."""
         super().__init__(path)
         self.fix = RECOVER_HINT.replace('{path}', str(bag or path))
         self.counts: Counter[int] = Counter()  # messages by channel
         self.start_ns = self.end_ns = 0
         self.chunks: list[ChunkRef] = []
-        self._notes: list[MetadataIndex] = []
+        self._metadata_indexes: list[MetadataIndex] = []
         try:
             with path.open('rb') as file:
                 self._open(file)
@@ -69,7 +69,7 @@ class Storage(Definitions):
 
     @property
     def count(self) -> int:
-        """Return how many messages the file has."""
+        """Return the number of messages in the file."""
         return sum(self.counts.values())
 
     @cached_property
@@ -108,40 +108,40 @@ class Storage(Definitions):
     def _open(self, file: BinaryIO) -> None:
         self.size = check_magic(file, self.path)
         footer, summary_start, crc = self._footer(file)
-        told = bool(summary_start) and self._read_summary(file, summary_start, footer, crc)
-        if not told or (self.count and not self.chunks) or not self.channels or self._untyped():
+        whole = bool(summary_start) and self._read_summary(file, summary_start, footer, crc)
+        if not whole or (self.count and not self.chunks) or not self.channels or self._untyped():
             self._scan(file, summary_start or footer)
-        used = {channel for channel, count in self.counts.items() if count}
-        unknown = used - (self.channels.keys() - self._untyped())
+        with_messages = {channel for channel, count in self.counts.items() if count}
+        unknown = with_messages - (self.channels.keys() - self._untyped())
         if unknown:
             raise DamageError(0, f'messages of unknown channels {sorted(unknown)[:5]}')
-        if self._notes:
-            note = max(self._notes, key=lambda index: index.offset)
-            self.take(file, record_at(file, note.offset, self.size))
+        if self._metadata_indexes:
+            newest = max(self._metadata_indexes, key=lambda index: index.offset)
+            self.take(file, record_at(file, newest.offset, self.size))
 
     def _footer(self, file: BinaryIO) -> tuple[int, int, int]:
-        """Return where the footer begins, where the summary does (0: none), and its CRC."""
+        """Return the offsets of the footer and of the summary (0: none), and its CRC."""
         start = self.size - FOOTER_SIZE
         if start < len(MAGIC):
-            raise BagError(self.path, CUT_OFF, self.fix)
+            raise BagError(self.path, NO_END, self.fix)
         data = read_at(file, start, FOOTER_SIZE)
         if data[-len(MAGIC) :] != MAGIC or PREFIX.unpack_from(data) != (Opcode.FOOTER, 20):
-            raise BagError(self.path, CUT_OFF, self.fix)
+            raise BagError(self.path, NO_END, self.fix)
         summary_start, offsets_start, crc = struct.unpack_from('<QQI', data, PREFIX.size)
         if summary_start and not len(MAGIC) <= summary_start <= (offsets_start or start) <= start:
             raise DamageError(start, f'a summary at {summary_start}')
         return start, summary_start, crc
 
     def _read_summary(self, file: BinaryIO, start: int, end: int, crc: int) -> bool:
-        """Take what the summary says; return whether it counts messages and has all chunks."""
+        """Read the summary; return whether it counts the messages and has all chunks."""
         chunk_count = -1
         # the checksum includes the footer up to itself
         data = read_at(file, start, end - start + PREFIX.size + 16)
         if crc and zlib.crc32(data) != crc:
             raise DamageError(start, 'a summary whose checksum is wrong')
         for record in walk(file, start, end):
-            begin = record.body - start
-            item = parse(record.opcode, data[begin : begin + record.length], record.offset)
+            body = record.body - start
+            item = parse(record.opcode, data[body : body + record.length], record.offset)
             if isinstance(item, Statistics):
                 chunk_count = item.chunk_count
                 self.counts.update(item.channel_message_counts)
@@ -149,7 +149,7 @@ class Storage(Definitions):
             elif isinstance(item, ChunkIndex):
                 self._add_index(item)
             elif isinstance(item, MetadataIndex) and item.name == 'rosbag2':
-                self._notes.append(item)
+                self._metadata_indexes.append(item)
             else:
                 self.define(item)
         return chunk_count == len(self.chunks)
@@ -162,11 +162,11 @@ class Storage(Definitions):
             raise DamageError(
                 index.chunk_start_offset, 'the index names a chunk that is not there'
             )
-        place = index.chunk_start_offset, index.chunk_length
-        self.chunks.append(ChunkRef(*times, *place, channels, packed=True))
+        position = index.chunk_start_offset, index.chunk_length
+        self.chunks.append(ChunkRef(*times, *position, channels, packed=True))
 
     def _untyped(self) -> set[int]:
-        """Return the channels whose schema is not there."""
+        """Return the channels whose schema is missing."""
         return {
             channel.id
             for channel in self.channels.values()
@@ -174,31 +174,31 @@ class Storage(Definitions):
         }
 
     def _scan(self, file: BinaryIO, end: int) -> None:
-        """Read the whole file to find out what the summary does not say."""
+        """Read the whole file for counts and chunks, which the summary lacks."""
         self.chunks, self.counts = [], Counter()
         for record, messages in self.walk(file, end):
             if not messages:
                 continue
-            tally = Counter(message.channel for message in messages)
-            self.counts.update(tally)
+            by_channel = Counter(message.channel for message in messages)
+            self.counts.update(by_channel)
             times = [message.log_ns for message in messages]
             packed = record.opcode == Opcode.CHUNK
-            found = ChunkRef(
+            item = ChunkRef(
                 min(times), max(times), record.offset, record.end - record.offset,
-                frozenset(tally), packed,
+                frozenset(by_channel), packed,
             )  # fmt: skip
-            last = self.chunks[-1] if self.chunks else found
-            if packed or last is found or last.packed or record.end - last.offset > RUN_BYTES:
-                self.chunks.append(found)
+            last = self.chunks[-1] if self.chunks else item
+            if packed or last is item or last.packed or record.end - last.offset > RUN_BYTES:
+                self.chunks.append(item)
             else:
-                self.chunks[-1] = _joined(last, found)
+                self.chunks[-1] = _joined(last, item)
         self.start_ns = min((ref.start_ns for ref in self.chunks), default=0)
         self.end_ns = max((ref.end_ns for ref in self.chunks), default=0)
 
 
-def _joined(run: ChunkRef, found: ChunkRef) -> ChunkRef:
-    """Return a run of messages with one more behind it."""
-    times = min(run.start_ns, found.start_ns), max(run.end_ns, found.end_ns)
-    length = found.offset + found.length - run.offset
-    channels = (run.channels or frozenset()) | (found.channels or frozenset())
+def _joined(run: ChunkRef, ref: ChunkRef) -> ChunkRef:
+    """Return a run of messages with one more appended."""
+    times = min(run.start_ns, ref.start_ns), max(run.end_ns, ref.end_ns)
+    length = ref.offset + ref.length - run.offset
+    channels = (run.channels or frozenset()) | (ref.channels or frozenset())
     return ChunkRef(*times, run.offset, length, channels, packed=False)

@@ -35,7 +35,7 @@ class Definitions:
         self.text = ''  # of the last record named rosbag2
 
     def define(self, item: Any) -> None:
-        """Take a schema, a channel or a metadata record; the first of a number counts."""
+        """Add a schema, a channel or a metadata record; the first of an id counts."""
         if isinstance(item, Schema):
             self.schemas.setdefault(item.id, item)
         elif isinstance(item, Channel):
@@ -44,7 +44,7 @@ class Definitions:
             self.text = item.metadata.get('serialized_metadata') or self.text
 
     def take(self, file: BinaryIO, record: RecordRef) -> list[Message]:
-        """Take the definitions in a record, return its messages; raises DamageError."""
+        """Add the definitions in a record, return its messages; raises DamageError."""
         if record.opcode == Opcode.CHUNK:
             chunk = read_record(file, record)
             self.compressions.add(chunk.compression)
@@ -56,7 +56,7 @@ class Definitions:
         return self.messages_in(contents(data, record.offset))
 
     def messages_in(self, items: Iterator[Any]) -> list[Message]:
-        """Return the messages among the contents of a chunk, and define the others in turn."""
+        """Return the messages among the contents of a chunk, and define the other records."""
         messages = []
         for item in items:
             if isinstance(item, Message):
@@ -66,7 +66,7 @@ class Definitions:
         return messages
 
     def walk(self, file: BinaryIO, end: int) -> Iterator[tuple[RecordRef, list[Message]]]:
-        """Yield the records in front of end and of the end of the data, each with its messages."""
+        """Yield each record before `end` and before the end of the data, with its messages."""
         offset = len(MAGIC)
         while offset < end:
             try:
@@ -82,5 +82,5 @@ class Definitions:
     def damaged(
         self, file: BinaryIO, offset: int, error: DamageError
     ) -> tuple[RecordRef, list[Message]]:
-        """Return what stands for the damage at an offset, and its messages; or raise the error."""
+        """Return a record in place of the damage at an offset, and its messages; or raise."""
         raise error

@@ -1,5 +1,5 @@
 """
-One MCAP file that is being written: after every chunk, what is on the disk can be read.
+One MCAP file that is being written, readable on the disk after every chunk.
 
 Records are those of the library mcap. Its Writer is not used, as it cannot do three things that a
 recorder has to do: end a chunk early (flush), so that a crash costs a second at most; forget a
@@ -46,8 +46,8 @@ PACKERS: dict[str, Callable[[bytes], bytes]] = {
 }
 
 
-def serialized(*records: McapRecord) -> bytes:
-    """Return records as they lie in a file."""
+def serialize(*records: McapRecord) -> bytes:
+    """Return records as the bytes of a file."""
     builder = RecordBuilder()
     for record in records:
         record.write(builder)
@@ -58,25 +58,25 @@ class McapFile:
     """
     Writes messages in chunks.
 
-    The file is not buffered, and a chunk is written at once with its indexes: whoever kills the
-    process loses the chunk in the making and no more. Any method may raise OSError.
+    The file is not buffered, and a chunk is written at once with its indexes: a killed process
+    loses the current chunk and no more. Any method may raise OSError.
     """
 
     def __init__(self, path: Path, compression: str, chunk_size: int) -> None:
-        """Create the file, which must not be there yet; chunk_size [bytes] before packing."""
+        """Create the file, which must not exist; chunk_size [bytes] before compression."""
         self.path, self.chunk_size = path, chunk_size
         self.compression = '' if compression == 'none' else compression
         self._pack = PACKERS[compression]
         self.schemas: list[Schema] = []
         self.channels: list[Channel] = []
         self._chunks: list[ChunkIndex] = []  # on the disk
-        self._tallies: list[dict[int, int]] = []  # messages of each chunk, by channel
+        self._counts: list[dict[int, int]] = []  # messages of each chunk, by channel
         self._metadata: list[MetadataIndex] = []
         self._size = 0  # [bytes] that a reader can rely on
         self._new_chunk()
         self._file = FileIO(path, 'xb')
         try:
-            self._append(MAGIC + serialized(Header('ros2', f'shepherd_ros {__version__}')))
+            self._append(MAGIC + serialize(Header('ros2', f'shepherd_ros {__version__}')))
         except OSError:
             self._file.close()
             path.unlink()
@@ -84,7 +84,7 @@ class McapFile:
 
     @property
     def size(self) -> int:
-        """Return the size [bytes] with the chunk in the making."""
+        """Return the size [bytes] with the current chunk."""
         return self._size + len(self._data)
 
     @property
@@ -98,9 +98,9 @@ class McapFile:
         return max((chunk.message_end_time for chunk in self._chunks), default=0)
 
     def counts(self) -> Counter[int]:
-        """Return how many messages are on the disk, by channel."""
+        """Return the number of messages on the disk, by channel."""
         total: Counter[int] = Counter()
-        for tally in self._tallies:
+        for tally in self._counts:
             total.update(tally)
         return total
 
@@ -110,31 +110,31 @@ class McapFile:
         self._first, self._last = 2**64 - 1, 0
 
     def _append(self, data: bytes) -> None:
-        """Write all of data, or raise OSError and forget what was written of it."""
-        left = memoryview(data)
-        while left:
-            left = left[self._file.write(left) or 0 :]
+        """Write all of data, or raise OSError with the size unchanged."""
+        remaining = memoryview(data)
+        while remaining:
+            remaining = remaining[self._file.write(remaining) or 0 :]
         self._size += len(data)
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Write a schema, unless it is there; return its number."""
+        """Write a schema, unless the file has it; return its id."""
         for schema in self.schemas:
             if (schema.name, schema.encoding, schema.data) == (name, encoding, data):
                 return schema.id
         schema = Schema(id=len(self.schemas) + 1, name=name, encoding=encoding, data=data)
-        self._append(serialized(schema))
+        self._append(serialize(schema))
         self.schemas.append(schema)
         return schema.id
 
     def add_channel(self, topic: str, encoding: str, schema: int, values: dict[str, str]) -> int:
-        """Write a channel; return its number."""
+        """Write a channel; return its id."""
         channel = Channel(len(self.channels) + 1, topic, encoding, values, schema)
-        self._append(serialized(channel))
+        self._append(serialize(channel))
         self.channels.append(channel)
         return channel.id
 
     def add_message(self, channel: int, log_ns: int, publish_ns: int, data: bytes) -> None:
-        """Put a message into the chunk, and the chunk on the disk once it is large enough."""
+        """Add a message to the current chunk, and write the chunk once it is large enough."""
         self._index[channel] += log_ns, len(self._data)
         self._data += PREFIX.pack(Opcode.MESSAGE, MESSAGE.size + len(data))
         self._data += MESSAGE.pack(channel, 0, log_ns, publish_ns)
@@ -144,7 +144,7 @@ class McapFile:
             self.end_chunk()
 
     def end_chunk(self) -> None:
-        """Put the chunk in the making on the disk, if it has messages."""
+        """Write the current chunk to the disk, if it has messages."""
         if not self._data:
             return
         data = bytes(self._data)
@@ -156,7 +156,7 @@ class McapFile:
             uncompressed_crc=zlib.crc32(data),
             uncompressed_size=len(data),
         )
-        record = serialized(chunk)
+        record = serialize(chunk)
         indexes, offsets = bytearray(), {}
         for channel, flat in self._index.items():
             offsets[channel] = self._size + len(record) + len(indexes)
@@ -176,23 +176,23 @@ class McapFile:
         )
         self._append(record + bytes(indexes))
         self._chunks.append(index)
-        self._tallies.append({channel: len(flat) // 2 for channel, flat in self._index.items()})
+        self._counts.append({channel: len(flat) // 2 for channel, flat in self._index.items()})
         self._new_chunk()
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Write a metadata record after all messages so far."""
         self.end_chunk()
-        record = serialized(Metadata(name=name, metadata=values))
+        record = serialize(Metadata(name=name, metadata=values))
         index = MetadataIndex(offset=self._size, length=len(record), name=name)
         self._append(record)
         self._metadata.append(index)
 
     def finish(self) -> None:
-        """Write what ends a file, put all on the disk and close; the file is whole then."""
+        """Write summary and footer, flush to the disk and close; the file is complete then."""
         self.end_chunk()
         size = self._size
         try:
-            self._append(self._ending())
+            self._append(self._footer_section())
             os.fsync(self._file.fileno())
         except OSError:
             self._size = size
@@ -200,11 +200,11 @@ class McapFile:
         self._file.close()
 
     def cut(self, last_chunk: bool = False) -> None:
-        """Drop the chunk in the making and unfinished records; the last chunk too if asked."""
+        """Drop the current chunk and unfinished records; last_chunk: the last chunk too."""
         self._new_chunk()
         if last_chunk and self._chunks:
             self._size = self._chunks.pop().chunk_start_offset
-            self._tallies.pop()
+            self._counts.pop()
             self._metadata = [index for index in self._metadata if index.offset < self._size]
         self._file.truncate(self._size)
         self._file.seek(self._size)
@@ -227,21 +227,21 @@ class McapFile:
             schema_count=len(self.schemas),
         )
 
-    def _ending(self) -> bytes:
+    def _footer_section(self) -> bytes:
         """Return everything from the end of the data to the end of the file."""
-        end = serialized(DataEnd(data_section_crc=0))
+        end = serialize(DataEnd(data_section_crc=0))
         start = self._size + len(end)
         summary, offsets = b'', b''
         for records in (
             self.schemas, self.channels, [self._statistics()], self._chunks, self._metadata,
         ):  # fmt: skip
-            group = serialized(*records)
-            if group:
-                offset = SummaryOffset(group[0], start + len(summary), len(group))
-                offsets += serialized(offset)
-                summary += group
-        place = struct.pack('<QQ', start, start + len(summary))
-        crc = zlib.crc32(summary + offsets + PREFIX.pack(Opcode.FOOTER, 20) + place)
+            section = serialize(*records)
+            if section:
+                offset = SummaryOffset(section[0], start + len(summary), len(section))
+                offsets += serialize(offset)
+                summary += section
+        offsets_record = struct.pack('<QQ', start, start + len(summary))
+        crc = zlib.crc32(summary + offsets + PREFIX.pack(Opcode.FOOTER, 20) + offsets_record)
         return (
-            end + summary + offsets + serialized(Footer(start, start + len(summary), crc)) + MAGIC
+            end + summary + offsets + serialize(Footer(start, start + len(summary), crc)) + MAGIC
         )

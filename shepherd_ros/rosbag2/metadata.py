@@ -17,7 +17,7 @@ NO_START = 2**63 - 1  # [ns] start of a bag without messages
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """A topic of a bag and how many messages it has."""
+    """A topic of a bag and the number of its messages."""
 
     name: str
     type: str
@@ -27,7 +27,7 @@ class TopicInfo:
     serialization: str = 'cdr'
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the entry in the order of rosbag2."""
+        """Return the entry of metadata.yaml, its keys in the order of rosbag2."""
         topic = {
             'name': self.name,
             'type': self.type,
@@ -39,7 +39,7 @@ class TopicInfo:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], path: Path) -> TopicInfo:
-        """Return the entry of any version."""
+        """Return the topic of an entry of any version."""
         topic = data['topic_metadata']
         return cls(
             name=text_of(topic['name']),
@@ -61,7 +61,7 @@ class FileInfo:
     count: int = 0
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the entry in the order of rosbag2."""
+        """Return the entry of metadata.yaml, its keys in the order of rosbag2."""
         return {
             'path': self.path,
             'starting_time': {'nanoseconds_since_epoch': self.start_ns},
@@ -72,7 +72,7 @@ class FileInfo:
 
 @dataclass(frozen=True)
 class Metadata:
-    """Everything in metadata.yaml; what concerns the whole bag follows from files and topics."""
+    """Content of metadata.yaml; totals of the bag follow from files and topics."""
 
     topics: tuple[TopicInfo, ...] = ()
     files: tuple[FileInfo, ...] = ()

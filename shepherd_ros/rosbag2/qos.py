@@ -1,4 +1,4 @@
-"""Quality of service in the words of rosbag2, and the YAML in which bags say such things."""
+"""Quality of service as rosbag2 writes it, and reading and writing of its YAML."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ POLICY_WORDS = {
         'best_available',
     ),
 }  # fmt: skip
-LARGEST_TEXT = 16 << 20  # [bytes] of YAML
+MAX_YAML_BYTES = 16 << 20  # [bytes] of YAML
 MAX_YAML_DEPTH = 30  # levels of nested lists and maps; rosbag2 has 8
 _LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 _DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
@@ -39,8 +39,8 @@ def dump_yaml(data: Any) -> str:
 def load_yaml(text: str, path: Path) -> Any:
     """Return the plain data of a YAML text of a file; raises BagError."""
     try:
-        if len(text) > LARGEST_TEXT:
-            raise ValueError(f'{len(text)} characters: expected at most {LARGEST_TEXT}')
+        if len(text) > MAX_YAML_BYTES:
+            raise ValueError(f'{len(text)} characters: expected at most {MAX_YAML_BYTES}')
         depth = 0
         for event in yaml.parse(text, Loader=_LOADER):  # libyaml has no limit but its stack
             depth += isinstance(event, yaml.CollectionStartEvent)
@@ -60,13 +60,13 @@ def text_of(value: Any) -> str:
 
 
 def line_of(error: Exception) -> str:
-    """Return what an error says, in one line of at most 120 characters."""
+    """Return the message of an error, in one line of at most 120 characters."""
     return ' '.join(str(error).split())[:120] or type(error).__name__
 
 
 @dataclass(frozen=True)
 class Qos:
-    """Quality of service that a publisher offered, in rosbag2's words; durations in s and ns."""
+    """Quality of service that a publisher offered, as rosbag2 writes it; durations in s, ns."""
 
     reliability: str = 'reliable'
     durability: str = 'volatile'
@@ -79,7 +79,7 @@ class Qos:
     avoid_ros_namespace_conventions: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse words that rosbag2 does not know."""
+        """Raise ValueError for words that rosbag2 does not know."""
         for policy, words in POLICY_WORDS.items():
             if getattr(self, policy) not in words:
                 raise ValueError(
@@ -87,7 +87,7 @@ class Qos:
                 )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the policies in the order of rosbag2."""
+        """Return the policies as plain data, in the order of rosbag2."""
         names = (
             'history', 'depth', 'reliability', 'durability', 'deadline', 'lifespan',
             'liveliness', 'liveliness_lease_duration', 'avoid_ros_namespace_conventions',
@@ -99,7 +99,7 @@ class Qos:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Qos:
-        """Return the policies of any version; raises KeyError, TypeError or ValueError."""
+        """Return the policies in data of any version; raises KeyError, TypeError, ValueError."""
         values: dict[str, Any] = {}
         for policy, words in POLICY_WORDS.items():
             value = data[policy]
@@ -111,14 +111,14 @@ class Qos:
 
 
 def history(profiles: tuple[Qos, ...]) -> int:
-    """Return how many messages a late reader gets of latched publishers, 0 if some are not."""
+    """Return the number of messages that a late reader gets; 0 if any publisher is volatile."""
     if any(profile.durability != 'transient_local' for profile in profiles):
         return 0
     return sum(max(profile.depth, 1) for profile in profiles)
 
 
-def agreed(profiles: tuple[Qos, ...], policy: str) -> Any:
-    """Return what all publishers offered of a policy, that of Qos() if they disagree."""
+def agreed_policy(profiles: tuple[Qos, ...], policy: str) -> Any:
+    """Return the value of a policy that all publishers offered, that of Qos() if they differ."""
     offers = {getattr(profile, policy) for profile in profiles}
     return offers.pop() if len(offers) == 1 else getattr(Qos(), policy)
 
@@ -126,7 +126,7 @@ def agreed(profiles: tuple[Qos, ...], policy: str) -> Any:
 def duration_ns(duration: tuple[int, int]) -> int:
     """Return a duration of s and ns in ns, 2^63 - 1 for those that rosbag2 calls infinite."""
     seconds, rest = duration
-    infinite = seconds >= 2**31 - 1 or duration == (0, 0)  # so in versions up to 8, or not told
+    infinite = seconds >= 2**31 - 1 or duration == (0, 0)  # in versions up to 8, or not set
     return 2**63 - 1 if infinite else seconds * 10**9 + rest
 
 

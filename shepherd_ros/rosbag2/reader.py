@@ -1,4 +1,4 @@
-"""Reads bags: a folder of rosbag2 with MCAP files, with or without metadata.yaml, or one file."""
+"""Reader of bags: a folder of MCAP files, with or without metadata.yaml, or one file."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import os
 from pathlib import Path
 import re
 
-from shepherd_ros.rosbag2.bag import Bag, other_files
+from shepherd_ros.rosbag2.bag import Bag, recover_hint
 from shepherd_ros.rosbag2.errors import BagError, unreadable
 from shepherd_ros.rosbag2.metadata import FILE, Metadata, STORAGE
-from shepherd_ros.rosbag2.qos import LARGEST_TEXT
+from shepherd_ros.rosbag2.qos import MAX_YAML_BYTES
 
 
 def open_bag(path: Path | str) -> Bag:
     """Return the bag in a folder or a single .mcap, .db3 or .bag file; raises BagError."""
     path = Path(path)
     try:
-        folder, there = path.is_dir(), path.exists()
+        folder, exists = path.is_dir(), path.exists()
     except OSError as error:
         raise unreadable(path, error) from error
-    if not there:
+    if not exists:
         raise BagError(path, 'there is no such file or folder', 'check the path')
     metadata = read_metadata(path / FILE) if folder and (path / FILE).exists() else None
     packed = metadata and metadata.compression_mode.lower() not in ('', 'none')
@@ -51,15 +51,15 @@ def bags_in(place: Path) -> list[Path]:
 
 def _files(folder: Path, metadata: Metadata | None) -> list[Path]:
     """Return the files of a bag in order; raises BagError."""
-    note = folder / FILE
+    metadata_path = folder / FILE
     if metadata is None:
         return mcap_files(folder)
     files = [folder / Path(file.path).name for file in metadata.files]
     if not files:
-        raise BagError(note, 'it names no file')
+        raise BagError(metadata_path, 'it names no file')
     for file in files:
         if not file.is_file():
-            raise BagError(file, f'it is not there, but {FILE} names it', other_files(folder))
+            raise BagError(file, f'it is not there, but {FILE} names it', recover_hint(folder))
     return files
 
 
@@ -69,14 +69,14 @@ def read_metadata(path: Path) -> Metadata:
         raise BagError(path, 'it is no file', 'expected the folder of a bag')
     try:
         with path.open('rb') as file:
-            data = file.read(min(os.fstat(file.fileno()).st_size, LARGEST_TEXT) + 1)
+            data = file.read(min(os.fstat(file.fileno()).st_size, MAX_YAML_BYTES) + 1)
     except OSError as error:
         raise unreadable(path, error) from error
     fix = f'run `shepherd bag recover {path.parent}` to write it again'
     try:
         return Metadata.from_yaml(data.decode(), path)
     except BagError as error:
-        raise BagError(path, error.what, fix) from error
+        raise BagError(path, error.reason, fix) from error
     except UnicodeDecodeError as error:
         raise BagError(path, 'it is no text', fix) from error
 

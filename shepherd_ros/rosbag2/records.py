@@ -1,9 +1,9 @@
 """
-Records of an MCAP file as they lie on the disk, read with suspicion.
+Records of an MCAP file, each checked while it is read.
 
-Nothing is believed before it is checked against the size of the file, so that a damaged file
-ends in DamageError and never in a huge allocation. The readers of the library mcap believe
-lengths of up to 4 GiB, stop at the first damage and do not tell where it is.
+Every length is checked against the size of the file, so that a damaged file ends in DamageError
+and never in a huge allocation. The readers of the library mcap accept lengths of up to 4 GiB,
+stop at the first damage and do not report its offset.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ CHUNK_HEAD = 32  # [bytes] of a chunk: two times, size, checksum, length of a na
 FOOTER_SIZE = PREFIX.size + 20 + len(MAGIC)  # [bytes] of everything that ends a file
 MAX_RECORD_BYTES = 256 << 20  # [bytes] of one record, and of one chunk when unpacked
 DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA)
-UNPACK_BYTES = 1 << 20  # [bytes] that are unpacked at once
-_PARSED: dict[int, Any] = {
+PIECE_BYTES = 1 << 20  # [bytes] that are unpacked at once
+_RECORD_TYPES: dict[int, Any] = {
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
     Opcode.CHUNK: Chunk,
@@ -78,7 +78,7 @@ class Message(NamedTuple):
 
 
 def read_at(file: BinaryIO, offset: int, length: int) -> bytes:
-    """Return length bytes of a file from offset on; raises DamageError if it has not so many."""
+    """Return length bytes of a file from offset on; raises DamageError if it is shorter."""
     if length > MAX_RECORD_BYTES:
         raise DamageError(
             offset, f'a record of {length} bytes: expected at most {MAX_RECORD_BYTES}'
@@ -91,7 +91,7 @@ def read_at(file: BinaryIO, offset: int, length: int) -> bytes:
 
 
 def record_at(file: BinaryIO, offset: int, end: int) -> RecordRef:
-    """Return the record that begins at offset and fits in front of end; raises DamageError."""
+    """Return the record at offset, which has to end by `end`; raises DamageError."""
     opcode, length = PREFIX.unpack(read_at(file, offset, PREFIX.size))
     record = RecordRef(opcode, offset, length)
     if opcode == 0 or Opcode.DATA_END < opcode < 0x80:
@@ -110,7 +110,7 @@ def walk(file: BinaryIO, offset: int, end: int) -> Iterator[RecordRef]:
 
 
 class _Exact(ReadDataStream):
-    """A stream that never returns less than what was asked for."""
+    """A stream that raises EndOfFile where it has fewer bytes than are read."""
 
     def read(self, length: int) -> bytes:
         data = super().read(length)
@@ -121,7 +121,7 @@ class _Exact(ReadDataStream):
 
 def parse(opcode: int, body: bytes, offset: int) -> Any:
     """Return a record of mcap.records, None for kinds that are not needed; raises DamageError."""
-    kind = _PARSED.get(opcode)
+    kind = _RECORD_TYPES.get(opcode)
     if kind is None:
         return None
     try:
@@ -137,14 +137,14 @@ def unpack(chunk: Chunk, offset: int) -> bytes:
         raise DamageError(offset, f'a chunk of {size} bytes: expected at most {MAX_RECORD_BYTES}')
     try:
         if chunk.compression == 'zstd':
-            packer = zstandard.ZstdDecompressor(max_window_size=MAX_RECORD_BYTES)
-            data = _piecewise(packer.stream_reader(chunk.data).read, size)
+            decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_RECORD_BYTES)
+            data = _read_bounded(decompressor.stream_reader(chunk.data).read, size)
         elif chunk.compression == 'lz4':
-            unpacker, left = lz4.LZ4FrameDecompressor(), [chunk.data]
-            data = _piecewise(
+            decompressor_lz4, pending = lz4.LZ4FrameDecompressor(), [chunk.data]
+            data = _read_bounded(
                 lambda most: (
-                    unpacker.decompress(left.pop() if left else b'', most)
-                    if not unpacker.eof
+                    decompressor_lz4.decompress(pending.pop() if pending else b'', most)
+                    if not decompressor_lz4.eof
                     else b''
                 ),
                 size,
@@ -162,11 +162,11 @@ def unpack(chunk: Chunk, offset: int) -> bytes:
     return data
 
 
-def _piecewise(read: Callable[[int], bytes], size: int) -> bytes:
-    """Return what read(most) gives until it gives nothing, or one byte more than size."""
+def _read_bounded(read: Callable[[int], bytes], size: int) -> bytes:
+    """Return the bytes of read(most) until it returns none, at most one byte more than size."""
     data = bytearray()
     while len(data) <= size:
-        piece = read(min(UNPACK_BYTES, size + 1 - len(data)))
+        piece = read(min(PIECE_BYTES, size + 1 - len(data)))
         if not piece:
             break
         data += piece
@@ -175,25 +175,25 @@ def _piecewise(read: Callable[[int], bytes], size: int) -> bytes:
 
 def contents(data: bytes, offset: int) -> Iterator[Message | Schema | Channel | Metadata]:
     """Yield the records in the data of a chunk that begins at offset; raises DamageError."""
-    at, size = 0, len(data)
-    while at < size:
-        if at + PREFIX.size > size:
+    position, size = 0, len(data)
+    while position < size:
+        if position + PREFIX.size > size:
             raise DamageError(offset, 'a chunk that ends within a record')
-        opcode, length = PREFIX.unpack_from(data, at)
-        at += PREFIX.size
-        end = at + length
+        opcode, length = PREFIX.unpack_from(data, position)
+        position += PREFIX.size
+        end = position + length
         if end > size:
             raise DamageError(offset, 'a chunk that ends within a record')
         if opcode == Opcode.MESSAGE:
             if length < MESSAGE.size:
                 raise DamageError(offset, f'a message of {length} bytes')
-            channel, _, log_ns, publish_ns = MESSAGE.unpack_from(data, at)
-            yield Message(channel, log_ns, publish_ns, data[at + MESSAGE.size : end])
+            channel, _, log_ns, publish_ns = MESSAGE.unpack_from(data, position)
+            yield Message(channel, log_ns, publish_ns, data[position + MESSAGE.size : end])
         elif opcode in DEFINITIONS:
-            yield parse(opcode, data[at:end], offset)
+            yield parse(opcode, data[position:end], offset)
         elif opcode == 0 or Opcode.DATA_END < opcode < 0x80:
             raise DamageError(offset, f'a record of unknown kind {opcode} in a chunk')
-        at = end
+        position = end
 
 
 def read_record(file: BinaryIO, record: RecordRef) -> Any:

@@ -1,4 +1,4 @@
-"""Makes a new bag of what can be read of a damaged one; the damaged one is not touched."""
+"""Recovery of a damaged bag into a new one; the damaged one stays as it is."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class RecoverResult:
 
     @property
     def whole(self) -> bool:
-        """Return whether everything that can be read was kept."""
+        """Return whether all that can be read was kept."""
         return not (self.refused or self.dropped)
 
     def text(self) -> str:
@@ -48,7 +48,7 @@ class RecoverResult:
 
 
 def recovered_folder(path: Path) -> Path:
-    """Return where the recovered bag goes unless told otherwise: beside the damaged one."""
+    """Return the default folder of the recovered bag: beside the damaged one."""
     whole = path.resolve()
     return whole.with_name(f'{whole.name if whole.is_dir() else whole.stem}_recovered')
 
@@ -61,7 +61,7 @@ def recover(
     on_message: OnMessage = lambda custom, topic, cdr: None,
 ) -> RecoverResult:
     """
-    Write what can be read of a bag, a folder or one .mcap file, into a new folder.
+    Write the readable part of a bag, a folder or one .mcap file, into a new folder.
 
     The new folder appears when it is complete. on_message(custom data, topic, CDR) is called
     before each message is written, and may change the custom data of the bag. Raises BagError if
@@ -79,20 +79,20 @@ def recover(
     sources = list(_sources(files, result))
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        part = Path(tempfile.mkdtemp(prefix=f'.{target.name}.', dir=target.parent))
+        temporary = Path(tempfile.mkdtemp(prefix=f'.{target.name}.', dir=target.parent))
     except OSError as error:
         raise BagError(
             target, f'it cannot be created ({error.strerror})', 'choose another folder'
         ) from error
     try:
-        _rewrite(sources, part / target.name, compression, result, on_message)
-        (part / target.name).rename(target)
+        _rewrite(sources, temporary / target.name, compression, result, on_message)
+        (temporary / target.name).rename(target)
     except OSError as error:
         raise BagError(
             target, f'it cannot be written ({error.strerror})', 'choose another folder'
         ) from error
     finally:
-        shutil.rmtree(part, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
     return result
 
 
@@ -119,24 +119,24 @@ def _rewrite(
     result: RecoverResult,
     on_message: OnMessage,
 ) -> None:
-    noted = _metadata(sources)
+    metadata = _metadata(sources)
     with BagWriter(
-        folder, compression=compression, custom_data=noted.custom_data, distro=noted.distro
+        folder, compression=compression, custom_data=metadata.custom_data, distro=metadata.distro
     ) as writer:
         for number, source in enumerate(sources):
             if number:
                 writer.split()
-            added: dict[int, str] = {}  # why a channel cannot be written, '' if it can
+            reason_by_channel: dict[int, str] = {}  # why a channel cannot be written, '' if it can
             try:
                 for message in source:
                     channel = source.channels[message.channel]
-                    if channel.id not in added:
-                        added[channel.id] = _add(writer, source, channel)
-                    why = added[channel.id]
+                    if channel.id not in reason_by_channel:
+                        reason_by_channel[channel.id] = _add(writer, source, channel)
+                    reason = reason_by_channel[channel.id]
                     if message.log_ns >= NO_START:
-                        why = why or f'messages on {channel.topic} of after the year 2262'
-                    if why:
-                        result.dropped[why] += 1
+                        reason = reason or f'messages on {channel.topic} of after the year 2262'
+                    if reason:
+                        result.dropped[reason] += 1
                         result.lost_bytes += len(message.data)
                         continue
                     publish_ns = min(message.publish_ns, NO_START)
@@ -149,16 +149,16 @@ def _rewrite(
             except DamageError as error:  # somebody else cuts it while it is read
                 result.refused.append(f'{source.path}: {error}')
             for channel in source.channels.values():
-                if channel.id not in added:
+                if channel.id not in reason_by_channel:
                     _add(writer, source, channel)
             writer.custom_data.update(_metadata([source]).custom_data)  # as it was at the end
-            result.dropped.update(source.unread)
+            result.dropped.update(source.unsupported)
             result.lost_bytes += source.lost_bytes
             result.lost_chunks += source.lost_chunks
 
 
 def _add(writer: BagWriter, source: Salvage, channel: Channel) -> str:
-    """Announce a topic as it was recorded; return why it cannot be written, '' if it can."""
+    """Add a topic as it was recorded; return why it cannot be written, '' if it can."""
     schema = source.schemas.get(channel.schema_id)
     if schema is None and channel.schema_id:
         return f'messages on {channel.topic}, whose type is lost'
@@ -174,7 +174,7 @@ def _add(writer: BagWriter, source: Salvage, channel: Channel) -> str:
     except BagError as error:
         if writer.closed:
             raise
-        return f'messages: {error.what}; the first type is kept'
+        return f'messages: {error.reason}; the first type is kept'
     return ''
 
 
@@ -186,7 +186,7 @@ def _qos(channel: Channel, path: Path) -> tuple[Qos, ...]:
 
 
 def _metadata(sources: list[Salvage]) -> Metadata:
-    """Return what the first file that tells of the bag notes; unknown things are empty."""
+    """Return the metadata of the first file that has any; empty fields without."""
     for source in sources:
         try:
             return Metadata.from_yaml(source.text, source.path)

@@ -1,4 +1,4 @@
-"""Salvage of a damaged MCAP file: every chunk that is whole, and the torn end."""
+"""Salvage of a damaged MCAP file: every whole chunk, and the readable part of a torn one."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SEARCH_WINDOW = 1 << 20  # [bytes] that are searched at once
 GAP_OPCODE = 0  # opcode of a record that stands for bytes that cannot be read
 # the head of a chunk below 4 GiB: kind, length, two times, size, checksum, name of its packing
 _CHUNK = re.compile(rb'\x06.{4}\0{4}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd)', re.DOTALL)
-_OVERLAP = 64  # [bytes] more than such a head has
+_HEAD_BYTES = 64  # [bytes] more than such a head has
 
 
 class Salvage(Definitions):
@@ -50,11 +50,11 @@ class Salvage(Definitions):
     """
 
     def __init__(self, path: Path) -> None:
-        """Look at both ends of the file; raises BagError if it is empty or no MCAP file."""
+        """Read both ends of the file; raises BagError if it is empty or no MCAP file."""
         super().__init__(path)
         self.lost_bytes = 0
         self.lost_chunks = 0  # at least so many
-        self.unread: Counter[str] = Counter()  # kinds of records that a bag has no place for
+        self.unsupported: Counter[str] = Counter()  # kinds of records that a bag has no place for
         with path.open('rb') as file:
             self.size = check_magic(file, path)
             with suppress(DamageError):
@@ -68,7 +68,7 @@ class Salvage(Definitions):
     def __iter__(self) -> Iterator[Message]:
         """Yield the messages whose channels are known."""
         self.lost_bytes = self.lost_chunks = 0
-        self.unread.clear()
+        self.unsupported.clear()
         with self.path.open('rb') as file:
             for _, messages in self.walk(file, self.size):
                 for message in messages:
@@ -76,7 +76,7 @@ class Salvage(Definitions):
                         yield message
                     else:
                         self.lost_bytes += len(message.data)
-                        self.unread['messages of unknown topics'] += 1
+                        self.unsupported['messages of unknown topics'] += 1
 
     def take(self, file: BinaryIO, record: RecordRef) -> list[Message]:
         """Return the messages of a record; raises DamageError."""
@@ -90,14 +90,14 @@ class Salvage(Definitions):
                 raise DamageError(record.offset, 'a damaged index')
         elif record.opcode == Opcode.ATTACHMENT or record.opcode >= 0x80:
             kind = 'attachments' if record.opcode == Opcode.ATTACHMENT else 'private records'
-            self.unread[kind] += 1
+            self.unsupported[kind] += 1
             self.lost_bytes += record.length
         elif record.opcode not in (Opcode.HEADER, Opcode.CHUNK, Opcode.MESSAGE):
             raise DamageError(record.offset, 'a record that is not due here')
         return super().take(file, record)
 
     def _read_summary(self, file: BinaryIO) -> None:
-        """Take the definitions that the end of the file repeats; raises DamageError."""
+        """Add the definitions that the end of the file repeats; raises DamageError."""
         footer = self.size - FOOTER_SIZE
         data = read_at(file, max(footer, 0), FOOTER_SIZE)
         (start,) = struct.unpack_from('<Q', data, PREFIX.size)
@@ -112,49 +112,45 @@ class Salvage(Definitions):
     def damaged(
         self, file: BinaryIO, offset: int, error: DamageError
     ) -> tuple[RecordRef, list[Message]]:
-        """Return the gap until the next whole chunk, and messages of the torn end in it."""
-        found = self._next_chunk(file, offset + 1)
-        messages, kept = ([], 0) if found else self._torn(file, offset)
-        end = found or self.size
-        self.lost_bytes += end - offset - kept
+        """Return a record for the gap up to the next whole chunk, and messages of a torn end."""
+        next_chunk = self._next_chunk(file, offset + 1)
+        messages, kept_bytes = ([], 0) if next_chunk else self._torn_chunk(file, offset)
+        end = next_chunk or self.size
+        self.lost_bytes += end - offset - kept_bytes
         self.lost_chunks += 1
         return RecordRef(GAP_OPCODE, offset, end - offset - PREFIX.size), messages
 
     def _next_chunk(self, file: BinaryIO, offset: int) -> int | None:
-        """Return where the next chunk that is whole begins, None if there is none."""
+        """Return the offset of the next whole chunk, None if there is none."""
         while offset < self.size:
             window = read_at(file, offset, min(SEARCH_WINDOW, self.size - offset))
             for match in _CHUNK.finditer(window):
                 with suppress(DamageError):
                     record = record_at(file, offset + match.start(), self.size)
-                    begin = match.end() - match.start() - PREFIX.size + 8
-                    (length,) = struct.unpack('<Q', read_at(file, record.body + begin - 8, 8))
-                    if length == record.length - begin:
+                    head = match.end() - match.start() - PREFIX.size + 8
+                    (length,) = struct.unpack('<Q', read_at(file, record.body + head - 8, 8))
+                    if length == record.length - head:
                         unpack(read_record(file, record), record.offset)
                         return record.offset
             if len(window) < SEARCH_WINDOW:
                 return None
-            offset += SEARCH_WINDOW - _OVERLAP
+            offset += SEARCH_WINDOW - _HEAD_BYTES
         return None
 
-    def _torn(self, file: BinaryIO, offset: int) -> tuple[list[Message], int]:
-        """Return messages of a chunk that the file ends in, if not packed, and their bytes."""
+    def _torn_chunk(self, file: BinaryIO, offset: int) -> tuple[list[Message], int]:
+        """Return messages of an uncompressed chunk cut off by the end of file, and their bytes."""
         data = read_at(file, offset, min(self.size - offset, MAX_RECORD_BYTES))
-        begin = PREFIX.size + CHUNK_HEAD + 8
-        if (
-            len(data) < begin
-            or data[0] != Opcode.CHUNK
-            or data[begin - 12 : begin - 8] != bytes(4)
-        ):
+        head = PREFIX.size + CHUNK_HEAD + 8
+        if len(data) < head or data[0] != Opcode.CHUNK or data[head - 12 : head - 8] != bytes(4):
             return [], 0
         (length,) = struct.unpack_from('<Q', data, 1)
         if offset + PREFIX.size + length <= self.size:
             return [], 0  # it is all there, but altered
-        messages = self.messages_in(_until_damage(contents(data[begin:], offset)))
+        messages = self.messages_in(_until_damage(contents(data[head:], offset)))
         return messages, sum(PREFIX.size + MESSAGE.size + len(m.data) for m in messages)
 
 
 def _until_damage(items: Iterator[T]) -> Iterator[T]:
-    """Yield items as long as they can be read."""
+    """Yield items until DamageError."""
     with suppress(DamageError):
         yield from items

@@ -1,4 +1,4 @@
-"""Writes bags that rosbag2 of ROS 2 Jazzy opens: a folder with MCAP files and metadata.yaml."""
+"""Writer of bags that rosbag2 of ROS 2 Jazzy opens: MCAP files and metadata.yaml."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from shepherd_ros.rosbag2.qos import Qos
 from shepherd_ros.rosbag2.records import MAX_RECORD_BYTES
 
 CHUNK_SIZE = 256 << 10  # [bytes]
-LARGEST_MESSAGE = MAX_RECORD_BYTES // 2  # [bytes], so that a chunk with it can be read
-SMALLEST_SPLIT = 1024  # [bytes], as in rosbag2
-_ELSEWHERE = 'free space or choose another place, then record into a new folder'
+MAX_MESSAGE_BYTES = MAX_RECORD_BYTES // 2  # [bytes], so that a chunk with it can be read
+MIN_SPLIT_BYTES = 1024  # [bytes], as in rosbag2
+_FREE_SPACE = 'free space or choose another place, then record into a new folder'
 
 
 class BagWriter:
     """
     Writes one bag; use it in a with statement.
 
-    What is written before a crash stays readable but for the last chunk; flush() ends a chunk
+    Messages written before a crash stay readable but for the last chunk; flush() ends a chunk
     early. When the disk is full, the bag is closed with all that can be kept, and BagError is
     raised. custom_data goes into the metadata, and may change until the end; so does distro, the
     distribution of ROS that the messages are from.
@@ -44,11 +44,13 @@ class BagWriter:
         """Create the folder, which must not exist; raises BagError. Splits: 0 for never."""
         if compression not in PACKERS:
             raise unknown_name('compression', compression, list(PACKERS))
-        if not 1 <= chunk_size <= LARGEST_MESSAGE:
-            raise ConfigError(f'chunk_size is {chunk_size}: expected 1 to {LARGEST_MESSAGE} bytes')
-        if split_bytes and split_bytes < SMALLEST_SPLIT:
+        if not 1 <= chunk_size <= MAX_MESSAGE_BYTES:
             raise ConfigError(
-                f'split_bytes is {split_bytes}: expected 0, or at least {SMALLEST_SPLIT}'
+                f'chunk_size is {chunk_size}: expected 1 to {MAX_MESSAGE_BYTES} bytes'
+            )
+        if split_bytes and split_bytes < MIN_SPLIT_BYTES:
+            raise ConfigError(
+                f'split_bytes is {split_bytes}: expected 0, or at least {MIN_SPLIT_BYTES}'
             )
         if not split_seconds >= 0:
             raise ConfigError(f'split_seconds is {split_seconds}: expected 0 or more')
@@ -65,7 +67,7 @@ class BagWriter:
             ) from error
         except OSError as error:
             raise BagError(
-                self.folder, f'it cannot be created ({error.strerror})', _ELSEWHERE
+                self.folder, f'it cannot be created ({error.strerror})', _FREE_SPACE
             ) from error
 
     def __enter__(self) -> BagWriter:
@@ -78,7 +80,7 @@ class BagWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close the bag: whatever went wrong outside, what was written is kept."""
+        """Close the bag, after an error too: all written messages are kept."""
         self.close()
 
     def add_topic(
@@ -92,17 +94,17 @@ class BagWriter:
         serialization: str = 'cdr',
     ) -> None:
         """
-        Announce a topic; again is fine, another type or text on it is a BagError.
+        Add a topic; raises BagError if it was added with another type or schema.
 
         schema is encoding and text of its type, hash_text the hash of that.
         """
-        before = self._files.topics.get(name)
-        if before is not None:
-            if before.type != type_name or self._files.schemas[name] != schema:
-                other = type_name if before.type != type_name else f'another {type_name}'
+        known = self._files.topics.get(name)
+        if known is not None:
+            if known.type != type_name or self._files.schemas[name] != schema:
+                other = type_name if known.type != type_name else f'another {type_name}'
                 raise BagError(
                     self.folder,
-                    f'{name} has type {before.type} and is offered as {other} too',
+                    f'{name} has type {known.type} and is offered as {other} too',
                     'record one of them, remap the other',
                 )
             return
@@ -110,26 +112,26 @@ class BagWriter:
         self._guarded(lambda: self._files.add_topic(topic, *schema))
 
     def write(self, topic: str, cdr: bytes, log_ns: int, publish_ns: int) -> None:
-        """Write a message: when it was received and when it was sent [ns]; raises BagError."""
+        """Write a message with its log time and its publish time [ns]; raises BagError."""
         if topic not in self._files.topics:
             raise BagError(self.folder, f'{topic} is not in it', 'call add_topic() first')
-        if not (0 <= log_ns < 2**63 and 0 <= publish_ns < 2**63 and len(cdr) < LARGEST_MESSAGE):
+        if not (0 <= log_ns < 2**63 and 0 <= publish_ns < 2**63 and len(cdr) < MAX_MESSAGE_BYTES):
             raise BagError(
                 self.folder,
                 f'{topic}: {len(cdr)} bytes at {log_ns} ns, sent at {publish_ns} ns',
-                f'expected times in [0, 2^63) ns and fewer than {LARGEST_MESSAGE} bytes',
+                f'expected times in [0, 2^63) ns and fewer than {MAX_MESSAGE_BYTES} bytes',
             )
-        if self._is_due(log_ns):
+        if self._needs_split(log_ns):
             self.split()
         self._guarded(lambda: self._files.add_message(topic, log_ns, publish_ns, cdr))
         self.count += 1
 
     def flush(self) -> None:
-        """Put all messages so far on the disk; raises BagError."""
+        """Write all messages so far to the disk; raises BagError."""
         self._guarded(lambda: self._files.file.end_chunk())
 
     def split(self) -> None:
-        """Go on in a new file; raises BagError."""
+        """Finish the file and begin a new one; raises BagError."""
         self._guarded(self._files.split)
 
     def close(self) -> None:
@@ -142,16 +144,16 @@ class BagWriter:
         """Return the metadata of the bag, or that of the files on the disk while it is written."""
         return self._files.metadata()
 
-    def _is_due(self, log_ns: int) -> bool:
+    def _needs_split(self, log_ns: int) -> bool:
         """Return whether a message of this time belongs in a new file."""
         first = self._files.first_ns
         if self.closed or first is None:
             return False
-        late = self.split_ns and log_ns - first > self.split_ns
-        return bool(late or 0 < self.split_bytes <= self._files.written)
+        too_long = self.split_ns and log_ns - first > self.split_ns
+        return bool(too_long or 0 < self.split_bytes <= self._files.written)
 
     def _guarded(self, action: Callable[[], None]) -> None:
-        """Do something with the files; on OSError keep what can be kept and raise BagError."""
+        """Run an action on the files; on OSError rescue the bag and raise BagError."""
         if self.closed:
             raise BagError(self.folder, 'the bag is closed', 'record into a new folder')
         try:
@@ -162,5 +164,5 @@ class BagWriter:
             raise BagError(
                 self.folder,
                 f'it cannot be written ({error.strerror}); {self._files.count} messages are kept',
-                _ELSEWHERE,
+                _FREE_SPACE,
             ) from error

@@ -45,12 +45,12 @@ def _start() -> int:
 
 
 def start_numba() -> None:
-    """Start numba, which takes half a second that nobody shall wait for later."""
+    """Start numba, which takes half a second, so that no later call waits for it."""
     if HAS_NUMBA:
         _start()
 
 
 def flat_array(tensor: Tensor, keep: int) -> np.ndarray:
-    """Return a tensor as a contiguous array with its leading axes made one and the last kept."""
+    """Return a tensor as a contiguous array: one leading axis, then its last `keep` axes."""
     array: np.ndarray = tensor.numpy()
     return np.ascontiguousarray(array.reshape(-1, *array.shape[array.ndim - keep :]))

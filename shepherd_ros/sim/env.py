@@ -36,9 +36,9 @@ class ShepherdEnv:
         self.device = torch.device(device)
 
     moment: Moment
-    stack: Tensor | None  # what is observed of it
+    stack: Tensor | None  # the observation of it
     _window: Tensor
-    _key: list[int]  # seeds that were asked for
+    _key: list[int]  # the seeds of reset()
     _episode: Tensor  # (B,) number of each world's episode since then
 
     @property
@@ -65,7 +65,7 @@ class ShepherdEnv:
         self, seed: int | Sequence[int] | None = None
     ) -> tuple[Tensor | None, dict[str, Any]]:
         """
-        Start every world; world b with seed + b, or its own. Return observation and info.
+        Start every world, b with seed + b or its own seed; return observation and info.
 
         Without a seed they go on with the episodes after the last ones, at first with those of 0.
         """
@@ -81,7 +81,7 @@ class ShepherdEnv:
             self._episode = torch.zeros_like(seeds)
         self.moment, self.stack = start(spawn(self.config.world, seeds), self.config), None
         if self.lidar:
-            self._see(self.frames.begin(self.moment.ranges))
+            self._update_window(self.frames.begin(self.moment.ranges))
         return self.stack, {'seed': seeds}
 
     def step(self, action: Tensor) -> tuple[Tensor | None, Tensor, Tensor, Tensor, dict[str, Any]]:
@@ -95,7 +95,7 @@ class ShepherdEnv:
         self.require_start()
         self.moment = last = advance(self.moment, action)
         if self.lidar:
-            self._see(self.frames.push(self._window, last.ranges))
+            self._update_window(self.frames.push(self._window, last.ranges))
         terminated, truncated = last.terminated, last.truncated
         ended = terminated | truncated
         info: dict[str, Any] = {'reward_terms': last.reward_terms}
@@ -108,7 +108,7 @@ class ShepherdEnv:
             fresh = spawn(self.config.world, self._next_episodes(ended))
             self.moment = restart(last, ended, fresh)
             if self.lidar:
-                self._see(self.frames.restart(self._window, self.moment.ranges, ended))
+                self._update_window(self.frames.restart(self._window, self.moment.ranges, ended))
         return self.stack, last.reward, terminated, truncated, info
 
     def _next_episodes(self, ended: Tensor) -> Tensor:
@@ -124,6 +124,6 @@ class ShepherdEnv:
         """Return the metrics of the running episodes so far, (B,) each."""
         return self.moment.metrics()
 
-    def _see(self, window: Tensor) -> None:
-        """Take the window of readings as the present one."""
-        self._window, self.stack = window, self.frames.seen(window)
+    def _update_window(self, window: Tensor) -> None:
+        """Store the window (B, H, W, C, R) of readings, and the observation of it."""
+        self._window, self.stack = window, self.frames.select(window)

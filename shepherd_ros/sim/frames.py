@@ -1,5 +1,5 @@
 """
-The frames that are seen together: the newest reading of a lidar and earlier ones.
+The frames of an observation: the newest reading of a lidar and earlier ones.
 
 No frame is older than its episode, whose first reading stands in for what was before. With 3
 frames, 2 readings apart, these readings are seen after each of the first six (rows() of them)::
@@ -26,12 +26,12 @@ class Frames:
     """Number of frames of an observation, and the readings between them."""
 
     count: int
-    apart: int
+    spacing: int
 
     @property
     def window(self) -> int:
-        """Return how many readings in a row hold all frames."""
-        return (self.count - 1) * self.apart + 1
+        """Return the number of readings in a row that hold all frames."""
+        return (self.count - 1) * self.spacing + 1
 
     def rows(self, newest: Tensor, first: Tensor) -> Tensor:
         """
@@ -39,8 +39,8 @@ class Frames:
 
         newest (...) int64 is the row of the newest, first that in which its episode began.
         """
-        back = torch.arange(self.count - 1, -1, -1, device=newest.device) * self.apart
-        return torch.maximum(newest[..., None] - back, first[..., None])
+        offset = torch.arange(self.count - 1, -1, -1, device=newest.device) * self.spacing
+        return torch.maximum(newest[..., None] - offset, first[..., None])
 
     def begin(self, ranges: Tensor) -> Tensor:
         """Return a window full of the first reading; (..., C, R) m -> (..., W, C, R) m."""
@@ -57,6 +57,6 @@ class Frames:
             return window
         return torch.where(begins[(..., *(None,) * 4)], self.begin(ranges), window)
 
-    def seen(self, window: Tensor) -> Tensor:
+    def select(self, window: Tensor) -> Tensor:
         """Return the frames of a window, newest last; (..., W, C, R) -> (..., K, C, R)."""
-        return window[..., :: self.apart, :, :]
+        return window[..., :: self.spacing, :, :]

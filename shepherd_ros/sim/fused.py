@@ -20,7 +20,7 @@ _PLAIN = os.environ.get('SHEPHERD_ROS_PLAIN') == '1'
 
 
 def fusible(tensor: Tensor) -> bool:
-    """Return whether a function of such a tensor is compiled by torch: on a GPU."""
+    """Return whether torch compiles functions of this tensor: it is on a GPU."""
     return not _PLAIN and tensor.device.type == 'cuda'
 
 

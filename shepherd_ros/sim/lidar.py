@@ -15,7 +15,7 @@ from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor
 
-TOUCHING = (
+CONTACT_RANGE = (
     0.01  # [m] range to a body that overlaps the sensor: not 0, which stands for nothing seen
 )
 
@@ -73,8 +73,8 @@ def cast_rays(
 
     origin (..., 2) m, centers (..., K, 2) m, radius (..., K) m, mask (..., K) bool (False: not
     there) -> (..., n_rays) m, world frame; ray k points along 2 pi k / n_rays, counter-clockwise
-    from +x. From inside a solid disc every ray returns TOUCHING, from inside one that is not, its
-    rim. Work is done for the rays that a disc covers, an interval of angles, and for no others.
+    from +x. From inside a solid disc every ray returns CONTACT_RANGE, from inside one that is not,
+    its rim. Only the rays that a disc covers, an interval of angles, are computed.
     """
     batch, pitch = origin.shape[:-1], 2 * math.pi / n_rays
     offset = centers - origin[..., None, :]
@@ -82,10 +82,10 @@ def cast_rays(
         t.expand(mask.shape).reshape(-1) for t in (offset[..., 0], offset[..., 1], radius, mask)
     )
     distance = torch.hypot(x, y)
-    seen = mask & (distance - radius < range_max)
+    in_range = mask & (distance - radius < range_max)
     sensor = torch.arange(math.prod(batch), device=origin.device)
-    sensor = sensor.repeat_interleave(centers.shape[-2])[seen]
-    x, y, radius, distance = x[seen], y[seen], radius[seen], distance[seen]
+    sensor = sensor.repeat_interleave(centers.shape[-2])[in_range]
+    x, y, radius, distance = x[in_range], y[in_range], radius[in_range], distance[in_range]
 
     inside = distance <= radius
     angle = torch.atan2(y, x)
@@ -104,7 +104,7 @@ def cast_rays(
     x, y, radius, inside = x[disc], y[disc], radius[disc], inside[disc]
     along, across = x * cos + y * sin, x * sin - y * cos
     depth = (radius * radius - across * across).clamp(min=0).sqrt()
-    rim = torch.full_like(along, TOUCHING) if solid else along + depth
+    rim = torch.full_like(along, CONTACT_RANGE) if solid else along + depth
     distance = torch.where(inside, rim, along - depth)
     ranges = torch.full((math.prod(batch) * n_rays,), torch.inf, dtype=x.dtype, device=x.device)
     ranges.scatter_reduce_(0, sensor[disc] * n_rays + ray, distance, 'amin')
@@ -122,10 +122,10 @@ def cast_all_rays(
     solid: bool = True,
 ) -> Tensor:
     """
-    Return what cast_rays() does, from a test of each ray against each disc.
+    Return the ranges of cast_rays(), from a test of each ray against each disc.
 
-    Slow, and large in memory, where it runs as it stands. It is for torch.compile on a GPU, as it
-    has no shape that depends on what is seen.
+    Slow, and large in memory, unless compiled. It is for torch.compile on a GPU, as none of its
+    shapes depends on values.
     """
     offset = centers - origin[..., None, :]
     x, y = offset[..., None].unbind(dim=-2)  # (..., K, 1)
@@ -137,7 +137,7 @@ def cast_all_rays(
     depth = (radius * radius - across * across).clamp(min=0).sqrt()
     inside = torch.hypot(x, y) <= radius
     ahead = (across.abs() <= radius) & (along > 0)
-    rim = torch.full_like(along, TOUCHING) if solid else along + depth
+    rim = torch.full_like(along, CONTACT_RANGE) if solid else along + depth
     distance = torch.where(inside, rim, along - depth)
     hit = (inside | ahead) & mask[..., None] & (distance <= range_max)
     return torch.where(hit, distance, torch.inf).amin(dim=-2)
@@ -145,7 +145,7 @@ def cast_all_rays(
 
 def scan(state: WorldState, config: LidarConfig, shepherds: Tensor | None = None) -> Tensor:
     """
-    Return what the shepherds' lidars see, +inf for no return; -> (..., S, C, n_rays) m.
+    Return the ranges of the shepherds' lidars, (..., S, C, n_rays) m, +inf on free rays.
 
     Channels are those of the layout, rays are aligned with the world. shepherds (S,) int64 names
     those whose lidars are read, all by default. An absent shepherd sees nothing.
@@ -154,8 +154,10 @@ def scan(state: WorldState, config: LidarConfig, shepherds: Tensor | None = None
         shepherds = torch.arange(state.shepherds.shape[-2], device=state.shepherds.device)
     ranges = _discs(state, config, shepherds)
     if config.others:
-        more = [_other(state, config, shepherds, name) for name in config.others.split(',')]
-        ranges = torch.cat([ranges, torch.stack(more, dim=-2)], dim=-2)
+        added = [
+            _plugin_channel(state, config, shepherds, name) for name in config.others.split(',')
+        ]
+        ranges = torch.cat([ranges, torch.stack(added, dim=-2)], dim=-2)
     return _with_faults(state, config, shepherds, ranges)
 
 
@@ -169,9 +171,9 @@ def _discs(state: WorldState, config: LidarConfig, shepherds: Tensor) -> Tensor:
             config.shepherd_radius,
             config.n_rays,
             config.range_max,
-            TOUCHING,
+            CONTACT_RANGE,
         )
-    every = torch.arange(state.shepherds.shape[-2], device=shepherds.device)
+    indices = torch.arange(state.shepherds.shape[-2], device=shepherds.device)
 
     def channel(centers: Tensor, radius: Tensor, mask: Tensor, solid: bool = True) -> Tensor:
         return _channel(state, config, shepherds, (centers, radius, mask), solid)
@@ -180,7 +182,7 @@ def _discs(state: WorldState, config: LidarConfig, shepherds: Tensor) -> Tensor:
         return torch.tensor(radius, dtype=state.sheep.dtype, device=state.sheep.device)
 
     sheep = channel(state.sheep, size(config.sheep_radius), state.sheep_mask[..., None, :])
-    others = state.shepherd_mask[..., None, :] & (every != shepherds[:, None])  # not itself
+    others = state.shepherd_mask[..., None, :] & (indices != shepherds[:, None])  # not itself
     team = channel(state.shepherds, size(config.shepherd_radius), others)
     radius = state.goal_radius[..., None, None]
     goal = channel(
@@ -206,7 +208,9 @@ def _channel(
     )
 
 
-def _other(state: WorldState, config: LidarConfig, shepherds: Tensor, name: str) -> Tensor:
+def _plugin_channel(
+    state: WorldState, config: LidarConfig, shepherds: Tensor, name: str
+) -> Tensor:
     """Return the ranges of a channel of a plug-in, (..., S, R) m."""
     channel = CHANNELS[name]
     assert channel.discs is not None, name
@@ -228,6 +232,6 @@ def _with_faults(
     index = torch.arange(ranges.shape[-2] * config.n_rays, device=ranges.device)
     index = (shepherds[:, None] * index.shape[0] + index).unflatten(-1, ranges.shape[-2:])
     draws = normal(state.seed, state.step, Stream.RANGE_NOISE, index, ranges.dtype)
-    ranges = (ranges + config.range_noise * draws).clamp(min=TOUCHING)
-    lost = uniform(state.seed, state.step, Stream.DROPOUT, index, ranges.dtype) < config.dropout
-    return torch.where(lost | (ranges > config.range_max), torch.inf, ranges)
+    ranges = (ranges + config.range_noise * draws).clamp(min=CONTACT_RANGE)
+    dropped = uniform(state.seed, state.step, Stream.DROPOUT, index, ranges.dtype) < config.dropout
+    return torch.where(dropped | (ranges > config.range_max), torch.inf, ranges)

@@ -22,8 +22,8 @@ def _ray_table(n_rays: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @compiled
-def _see_disc(x, y, radius, cos, sin, range_max, touching, out):
-    """Lower the ranges (R,) to a disc at x, y; touching < 0: its rim is seen from inside."""
+def _scan_disc(x, y, radius, cos, sin, range_max, contact_range, out):
+    """Lower the ranges (R,) to a disc at x, y; contact_range < 0: the rim seen from inside."""
     n_rays = cos.shape[0]
     distance = np.float32(math.sqrt(x * x + y * y))
     if distance - radius >= range_max:
@@ -44,7 +44,7 @@ def _see_disc(x, y, radius, cos, sin, range_max, touching, out):
         along = x * cos[ray] + y * sin[ray]
         hit = along - depth
         if inside:
-            hit = touching if touching >= 0 else along + depth
+            hit = contact_range if contact_range >= 0 else along + depth
         if hit < out[ray] and hit <= range_max:
             out[ray] = hit
 
@@ -52,27 +52,27 @@ def _see_disc(x, y, radius, cos, sin, range_max, touching, out):
 @compiled
 def _scan(
     sheep, sheep_mask, shepherds, shepherd_mask, goal, goal_radius, chosen, sheep_radius,
-    shepherd_radius, cos, sin, range_max, touching, out,
+    shepherd_radius, cos, sin, range_max, contact_range, out,
 ):  # fmt: skip
     for b in range(sheep.shape[0]):
         for s in range(chosen.shape[0]):
-            me = chosen[s]
-            if not shepherd_mask[b, me]:
+            sensor = chosen[s]
+            if not shepherd_mask[b, sensor]:
                 continue
-            x, y = shepherds[b, me, 0], shepherds[b, me, 1]
+            x, y = shepherds[b, sensor, 0], shepherds[b, sensor, 1]
             for i in range(sheep.shape[1]):
                 if sheep_mask[b, i]:
-                    _see_disc(
+                    _scan_disc(
                         sheep[b, i, 0] - x, sheep[b, i, 1] - y, sheep_radius,
-                        cos, sin, range_max, touching, out[b, s, 0],
+                        cos, sin, range_max, contact_range, out[b, s, 0],
                     )  # fmt: skip
             for h in range(shepherds.shape[1]):
-                if shepherd_mask[b, h] and h != me:
-                    _see_disc(
+                if shepherd_mask[b, h] and h != sensor:
+                    _scan_disc(
                         shepherds[b, h, 0] - x, shepherds[b, h, 1] - y, shepherd_radius,
-                        cos, sin, range_max, touching, out[b, s, 1],
+                        cos, sin, range_max, contact_range, out[b, s, 1],
                     )  # fmt: skip
-            _see_disc(
+            _scan_disc(
                 goal[b, 0] - x, goal[b, 1] - y, goal_radius[b],
                 cos, sin, range_max, np.float32(-1), out[b, s, 2],
             )  # fmt: skip
@@ -85,7 +85,7 @@ def scan_discs(
     shepherd_radius: float,
     n_rays: int,
     range_max: float,
-    touching: float,
+    contact_range: float,
 ) -> Tensor:
     """Return the ranges (..., S, 3, R) m of the paper's channels, as sim.lidar does."""
     batch, shape = state.step.shape, (len(chosen), len(PAPER_CHANNELS), n_rays)
@@ -104,7 +104,7 @@ def scan_discs(
         cos,
         sin,
         np.float32(range_max),
-        np.float32(touching),
+        np.float32(contact_range),
         out,
     )
     return torch.from_numpy(out).reshape(*batch, *shape)

@@ -1,5 +1,5 @@
 """
-The layout of a scan: its channels and rays, which can be read without torch.
+The layout of a scan: its channels and rays, readable without torch.
 
 A channel of its own needs one entry, CHANNELS.add(Channel(name, meaning, discs=...)), and is cast
 by lidars that name it in their option `others`.
@@ -20,7 +20,7 @@ Discs = Callable[[Any], tuple[Any, Any, Any]]
 
 @dataclass(frozen=True)
 class Channel:
-    """One type of what a lidar sees; bodies of a type hide only each other."""
+    """A type of bodies that a lidar sees; bodies of one type hide only each other."""
 
     name: str
     meaning: str
@@ -52,32 +52,32 @@ class ScanLayout:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Return how many channels and rays there are."""
+        """Return the numbers of channels and rays."""
         return len(self.channels), self.n_rays
 
-    def require(self, wanted: ScanLayout, where: str) -> None:
-        """Raise ConfigError unless the scans of a place have the layout that is wanted."""
-        for name in wanted.channels:
+    def require(self, other: ScanLayout, source: str) -> None:
+        """Raise ConfigError, which names the source of the scans, unless the layouts agree."""
+        for name in other.channels:
             if name not in self.channels:
                 raise ConfigError(
-                    f'{where}: scans have no channel {name!r}, but {", ".join(self.channels)}: '
+                    f'{source}: scans have no channel {name!r}, but {", ".join(self.channels)}: '
                     'expected those of the policy; cast it with the option others of the lidar'
                 )
-        if self.channels != wanted.channels:
-            more = next(name for name in self.channels if name not in wanted.channels)
+        if self.channels != other.channels:
+            extra = next(name for name in self.channels if name not in other.channels)
             raise ConfigError(
-                f'{where}: scans have a channel {more!r}, expected {", ".join(wanted.channels)} '
+                f'{source}: scans have a channel {extra!r}, expected {", ".join(other.channels)} '
                 'as the policy; give it the option others of the lidar'
             )
-        if self.n_rays != wanted.n_rays:
-            raise ConfigError(f'{where}: scans have {self.n_rays} rays, expected {wanted.n_rays}')
+        if self.n_rays != other.n_rays:
+            raise ConfigError(f'{source}: scans have {self.n_rays} rays, expected {other.n_rays}')
 
 
 def sorted_channels(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the paper's channels and then the others among some names, by name."""
+    """Return the paper's channels, then the other names in the order of the alphabet."""
     return (*PAPER_CHANNELS, *sorted(set(names) - set(PAPER_CHANNELS)))
 
 
 def channel_of(name: str) -> Channel:
-    """Return the entry of a channel, or one that knows its name only."""
+    """Return the entry of a channel; for an unknown one, an entry with its name alone."""
     return CHANNELS[name] if name in CHANNELS else Channel(name, name)

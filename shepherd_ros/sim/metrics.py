@@ -68,8 +68,8 @@ METRICS: Registry[Metric] = Registry('metric')
 
 def shown(place: str) -> list[Metric]:
     """Return the metrics that are shown at one of SHOWN_IN, in their order there."""
-    found = [metric for metric in METRICS.values() if place in metric.shown]
-    return sorted(found, key=lambda metric: metric.shown[place])
+    selected = [metric for metric in METRICS.values() if place in metric.shown]
+    return sorted(selected, key=lambda metric: metric.shown[place])
 
 
 def start_tally(state: WorldState) -> MetricsTally:
@@ -89,7 +89,7 @@ def count_step(tally: MetricsTally, before: WorldState, after: WorldState) -> Me
 
 
 def metrics(tally: MetricsTally, state: WorldState, episode_steps: int) -> dict[str, Tensor]:
-    """Return METRICS of the episode so far, (...) each."""
+    """Return the value of each of METRICS for the episode so far, (...) each."""
     return {
         name: metric.value(tally.own.get(name, tally), state, episode_steps)
         for name, metric in METRICS.loaded().items()

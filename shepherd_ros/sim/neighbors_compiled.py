@@ -7,12 +7,12 @@ import numpy as np
 from shepherd_ros.sim.compiled import compiled
 
 _INF = np.float32(np.inf)
-_FEW = 4  # between the bounds: so few are looked at one by one
-_TRIES = 16  # at a bound, before all that are left are looked at one by one
+_SEARCH_LIMIT = 4  # values between the bounds that are selected by partition
+_MAX_ITERATIONS = 16  # of the search for a bound, before the rest is selected by partition
 
 
 @compiled
-def squares(i, xs, ys, mask, squared):
+def squared_distances(i, xs, ys, mask, squared):
     """Write squared distances from sheep i into squared (N,) m^2; inf: itself and the absent."""
     x, y = xs[i], ys[i]
     for j in range(xs.shape[0]):
@@ -22,28 +22,28 @@ def squares(i, xs, ys, mask, squared):
 
 
 @compiled
-def squares_of(i, xs, ys, who, count, squared):
-    """Write the squared distance from sheep i to each of who into squared m^2; inf: itself."""
+def squared_distances_of(i, xs, ys, candidates, count, squared):
+    """Write the squared distance from sheep i to each candidate into squared m^2; inf: itself."""
     x, y = xs[i], ys[i]
     for k in range(count):
-        j = who[k]
+        j = candidates[k]
         dx, dy = x - xs[j], y - ys[j]
         squared[k] = dx * dx + dy * dy if j != i else _INF
 
 
 @compiled
-def choose_below(bound, count, squared, who, chosen):
-    """Write those of who that are nearer than the bound [m^2] into chosen; return how many."""
-    found = np.uintp(0)  # unsigned: an index that is never taken for a negative one
+def select_below(bound, count, squared, candidates, chosen):
+    """Write the candidates nearer than the bound [m^2] into chosen; return their number."""
+    selected = np.uintp(0)  # unsigned: an index that is never taken for a negative one
     for k in range(count):
-        chosen[found] = who[k]
-        found += np.uintp(squared[k] < bound)
-    return np.intp(found)
+        chosen[selected] = candidates[k]
+        selected += np.uintp(squared[k] < bound)
+    return np.intp(selected)
 
 
 @compiled
 def in_reach(x, y, others, mask, reach, chosen):
-    """Write which of the others (K, 2) m are within reach of x, y into chosen; return how many."""
+    """Write those of others (K, 2) m within reach of x, y into chosen; return their number."""
     count = 0
     for k in range(others.shape[0]):
         dx, dy = x - others[k, 0], y - others[k, 1]
@@ -56,10 +56,10 @@ def in_reach(x, y, others, mask, reach, chosen):
 @compiled
 def _count(bound, count, squared):
     """Return how many of squared[:count] are below the bound."""
-    found = 0
+    below = 0
     for j in range(count):
-        found += squared[j] < bound
-    return found
+        below += squared[j] < bound
+    return below
 
 
 @compiled
@@ -86,47 +86,47 @@ def _smallest(k, low, high, values):
 
 
 @compiled
-def bound_of(keep, count, squared, guess, values):
+def kth_bound(keep, count, squared, guess, values):
     """
     Return a bound below which the keep smallest of squared[:count] are, and more only at a tie.
 
-    guess is where to look first; values (count,) is used on the way. keep is at least 1; where
-    fewer are finite, as beside a sheep that is not a number, the bound is inf.
+    guess is the bound tried first; values (count,) is memory to work in. keep is at least 1;
+    where fewer are finite, as beside a sheep that is not a number, the bound is inf.
     """
     low, high, under, over = np.float32(0), _INF, 0, count
     bound = guess if guess > 0 else np.float32(1)
-    for _ in range(_TRIES):
-        found = _count(bound, count, squared)
-        if found == keep:
+    for _ in range(_MAX_ITERATIONS):
+        below = _count(bound, count, squared)
+        if below == keep:
             return bound
-        if found < keep:
-            low, under = bound, found
+        if below < keep:
+            low, under = bound, below
         else:
-            high, over = bound, found
-        if over - under <= _FEW:
+            high, over = bound, below
+        if over - under <= _SEARCH_LIMIT:
             break
         if high == _INF:  # the number below a bound grows about like the bound, an area
-            bound = bound * np.float32(1.1 * (keep + 1) / (found + 1))
+            bound = bound * np.float32(1.1 * (keep + 1) / (below + 1))
         else:
-            share = np.float32((keep - under) / (over - under))
-            bound = low + (high - low) * share
+            fraction = np.float32((keep - under) / (over - under))
+            bound = low + (high - low) * fraction
         if not low < bound < high:
             break
-    left = 0
+    n_values = 0
     for j in range(count):
-        values[left] = squared[j]
-        left += low <= squared[j] < high
-    if left < keep - under:
+        values[n_values] = squared[j]
+        n_values += low <= squared[j] < high
+    if n_values < keep - under:
         return _INF
-    return np.nextafter(_smallest(keep - under - 1, 0, left - 1, values), _INF)
+    return np.nextafter(_smallest(keep - under - 1, 0, n_values - 1, values), _INF)
 
 
 @compiled
-def break_tie(keep, count, squared, bound, who):
+def break_tie(keep, count, squared, bound, candidates):
     """
-    Put those of who out of squared [m^2] that are more than keep below the bound of bound_of().
+    Set the surplus of more than `keep` below the bound of kth_bound() to inf in squared [m^2].
 
-    At a tie those with the larger number are nearer.
+    At a tie those with the larger index are nearer.
     """
     surplus = _count(bound, count, squared) - keep
     if surplus <= 0:
@@ -136,8 +136,8 @@ def break_tie(keep, count, squared, bound, who):
         if squared[k] < bound:
             tie = max(tie, squared[k])
     for _ in range(surplus):
-        out = -1
+        farthest = -1
         for k in range(count):
-            if squared[k] == tie and (out < 0 or who[k] < who[out]):
-                out = k
-        squared[out] = _INF
+            if squared[k] == tie and (farthest < 0 or candidates[k] < candidates[farthest]):
+                farthest = k
+        squared[farthest] = _INF

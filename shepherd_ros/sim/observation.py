@@ -1,4 +1,4 @@
-"""From frames to the network's input: direction and layouts (paper, sections 3, 4)."""
+"""The network's input, made of frames: direction and layouts (paper, sections 3, 4)."""
 
 from __future__ import annotations
 
@@ -61,16 +61,19 @@ def first_ray(ranges: Tensor, config: ObservationConfig) -> Tensor:
     n_rays = ranges.shape[-1]
     if config.align == 'world':
         return torch.zeros(ranges.shape[:-2], dtype=torch.int64, device=ranges.device)
-    seen = ranges[..., GOAL_CHANNEL, :]
-    seen = torch.where(seen.isfinite(), seen, 0.0)
+    goal_ranges = ranges[..., GOAL_CHANNEL, :]
+    goal_ranges = torch.where(goal_ranges.isfinite(), goal_ranges, 0.0)
     pitch = 2 * math.pi / n_rays
     theta = torch.arange(n_rays, device=ranges.device, dtype=torch.float64) * pitch
     rays = torch.stack([theta.cos(), theta.sin()], dim=-1).to(ranges.dtype)
-    way = (seen[..., None] * rays).sum(dim=-2)  # a sum for each row: the same in every batch
-    return torch.remainder((torch.atan2(way[..., 1], way[..., 0]) / pitch).round().long(), n_rays)
+    toward = (goal_ranges[..., None] * rays).sum(dim=-2)  # by row: the same in every batch
+    return torch.remainder(
+        (torch.atan2(toward[..., 1], toward[..., 0]) / pitch).round().long(),
+        n_rays,
+    )
 
 
-def arranged(stack: Tensor, first: Tensor, config: ObservationConfig) -> Tensor:
+def arrange(stack: Tensor, first: Tensor, config: ObservationConfig) -> Tensor:
     """
     Return scaled frames (..., K, C, R) with ray first (...) in front, as (..., D, L).
 
@@ -89,13 +92,13 @@ def arranged(stack: Tensor, first: Tensor, config: ObservationConfig) -> Tensor:
 
 
 def network_input(stack: Tensor, config: ObservationConfig, range_max: float) -> Tensor:
-    """Return the input (..., D, L) that frames (..., K, C, R) m are for a network."""
+    """Return frames (..., K, C, R) m as the input (..., D, L) of a network."""
     first = first_ray(stack[..., -1, :, :], config)
-    return arranged(scaled_ranges(stack, config, range_max), first, config)
+    return arrange(scaled_ranges(stack, config, range_max), first, config)
 
 
-def turned(vector: Tensor, first: Tensor, n_rays: int) -> Tensor:
-    """Return a vector that is relative to ray first (...) in the world frame; (..., 2)."""
+def rotate_by_ray(vector: Tensor, first: Tensor, n_rays: int) -> Tensor:
+    """Return vectors (..., 2) rotated by the angle of ray first (...): into the world frame."""
     angle = first * (2 * math.pi / n_rays)
     cos, sin = angle.cos().to(vector.dtype), angle.sin().to(vector.dtype)
     x, y = vector[..., 0], vector[..., 1]
@@ -105,7 +108,7 @@ def turned(vector: Tensor, first: Tensor, n_rays: int) -> Tensor:
 def input_shape(
     config: ObservationConfig, n_rays: int, types: int = len(PAPER_CHANNELS)
 ) -> tuple[int, int]:
-    """Return channels and length of network_input() of scans with channels of some types."""
+    """Return the shape (D, L) of network_input() for scans with this number of channels."""
     frames = config.n_frames
     shapes = {
         'types': (types, frames * n_rays),

@@ -28,7 +28,7 @@ def perceive(state: WorldState, noise_std: float) -> WorldState:
 
     return replace(
         state,
-        goal=noisy(Stream.SEE_GOAL, state.goal[..., None, :])[..., 0, :],
-        sheep=noisy(Stream.SEE_SHEEP, state.sheep),
-        shepherds=noisy(Stream.SEE_SHEPHERDS, state.shepherds),
+        goal=noisy(Stream.GOAL_NOISE, state.goal[..., None, :])[..., 0, :],
+        sheep=noisy(Stream.SHEEP_NOISE, state.sheep),
+        shepherds=noisy(Stream.SHEPHERD_NOISE, state.shepherds),
     )

@@ -33,7 +33,7 @@ class RewardConfig(Extended):
 
 
 class Step(NamedTuple):
-    """A step of worlds (...), and what terms share of it."""
+    """A step of worlds (...), with the values that reward terms share."""
 
     before: WorldState
     after: WorldState

@@ -40,9 +40,9 @@ class Stream(IntEnum):
     N_SHEPHERDS = 7
     GRAZE = 8
     TURN = 9
-    SEE_GOAL = 10
-    SEE_SHEEP = 11
-    SEE_SHEPHERDS = 12
+    GOAL_NOISE = 10
+    SHEEP_NOISE = 11
+    SHEPHERD_NOISE = 12
     RANGE_NOISE = 13
     DROPOUT = 14
     CONTROL = 15

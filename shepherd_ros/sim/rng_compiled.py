@@ -30,13 +30,13 @@ def stream_key(seed, step, stream):
 
 @compiled
 def uniform_at(key, index):
-    """Return the number in [0, 1) with an index, float32."""
+    """Return the uniform number in [0, 1) at an index of a stream, float32."""
     bits = mix(key + np.uint64(index + 1) * _GOLDEN)
     return np.float32((bits >> np.uint64(40)) & _24_BITS) * np.float32(2.0**-24)
 
 
 @compiled
 def direction_at(key, index):
-    """Return the unit vector with an index, x and y in float32."""
+    """Return the random unit vector at an index of a stream, x and y in float32."""
     angle = uniform_at(key, index) * np.float32(2 * math.pi)
     return np.float32(math.cos(angle)), np.float32(math.sin(angle))

@@ -41,9 +41,9 @@ class EnvConfig(Config):
 @dataclass(frozen=True)
 class Moment:
     """
-    Worlds (...) at one step of their episodes, and what follows from it.
+    Worlds (...) at one step of their episodes, with scans, reward and metrics derived from it.
 
-    What is derived is computed when it is first read, and once.
+    Derived values are computed at their first read, and once.
     """
 
     config: EnvConfig
@@ -58,12 +58,12 @@ class Moment:
 
     @cached_property
     def ranges(self) -> Tensor:
-        """Return what the lidars read, (..., H, C, R) m, +inf on free rays."""
+        """Return the ranges of the lidars, (..., H, C, R) m, +inf on free rays."""
         return scan(self.perceived, self.config.lidar)
 
     @cached_property
     def reward_terms(self) -> dict[str, Tensor]:
-        """Return the terms of the reward for the step that led here, (...) each."""
+        """Return the terms of the reward for the last step, (...) each."""
         config = self.config
         return reward_terms(self.state, config.reward, config.world.episode_steps, self.before)
 
@@ -74,7 +74,7 @@ class Moment:
 
     @property
     def terminated(self) -> Tensor:
-        """Return where the task ends, (...) bool: nowhere, as it goes on to its time limit."""
+        """Return the mask of terminal states, (...) bool: none, as only the time limit ends."""
         return torch.zeros_like(self.truncated)
 
     @cached_property
@@ -86,7 +86,7 @@ class Moment:
         """
         Return the metrics of the episode so far, (...) each.
 
-        episode_steps are those of the whole episode, the world's by default.
+        episode_steps is the length of the whole episode, the world's by default.
         """
         assert self.tally is not None
         steps = self.config.world.episode_steps if episode_steps is None else episode_steps
@@ -99,15 +99,15 @@ def start(state: WorldState, config: EnvConfig, count: bool = True) -> Moment:
 
 
 def advance(moment: Moment, command: Tensor, goal: Tensor | None = None) -> Moment:
-    """Return the moment after a command (..., H, 2) m/s; goal (2,) m is where it is moved to."""
+    """Return the moment after a command (..., H, 2) m/s; goal (2,) m: its new position."""
     state = step(moment.state, command, moment.config.world)
     if goal is not None:
         state = replace(state, goal=goal.expand_as(state.goal))
-    return arrive(moment, state)
+    return advance_to(moment, state)
 
 
-def arrive(moment: Moment, state: WorldState) -> Moment:
-    """Return the moment in a state that follows, as it was recorded or heard."""
+def advance_to(moment: Moment, state: WorldState) -> Moment:
+    """Return the moment in the next state, which was recorded or received."""
     tally = moment.tally
     if tally is not None:
         tally = count_step(tally, moment.state, state)

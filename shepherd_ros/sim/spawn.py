@@ -22,14 +22,14 @@ def spawn(config: WorldConfig, seed: Tensor, dtype: torch.dtype = torch.float32)
     """
     device, zero = seed.device, torch.zeros_like(seed)
     n, m, start = config.n_sheep, config.n_shepherds, config.spawn
-    one = torch.arange(2, device=device)
+    index_zero = torch.arange(2, device=device)
 
     def places(stream: Stream, nearest: float, farthest: float, count: int) -> Tensor:
-        """Return where centers are, each in a random direction and range, (..., count, 2) m."""
+        """Return centers, each in a random direction and range, (..., count, 2) m."""
         index = 2 * torch.arange(count, device=device)
-        way = direction(seed, zero, stream, index, torch.float64)
-        share = uniform(seed, zero, stream, index + 1, torch.float64)
-        return way * (nearest + (farthest - nearest) * share)[..., None]
+        unit_vector = direction(seed, zero, stream, index, torch.float64)
+        fraction = uniform(seed, zero, stream, index + 1, torch.float64)
+        return unit_vector * (nearest + (farthest - nearest) * fraction)[..., None]
 
     def around(stream: Stream, count: int) -> Tensor:
         index = torch.arange(count, device=device)
@@ -39,20 +39,20 @@ def spawn(config: WorldConfig, seed: Tensor, dtype: torch.dtype = torch.float32)
     limits = (start.flock_distance_min, start.flock_distance_max)
     groups = places(Stream.FLOCK_PLACE, *limits, start.flock_groups)
     # sheep k belongs to group k modulo their number; (..., N, 2) m
-    home = groups[..., torch.arange(n, device=device) % start.flock_groups, :]
+    sheep_centers = groups[..., torch.arange(n, device=device) % start.flock_groups, :]
     limits = (start.shepherd_distance_min, start.shepherd_distance_max)
     centers = m if start.shepherds_around else 1
     team = groups[..., :1, :] + places(Stream.SHEPHERD_PLACE, *limits, centers)
-    extra = uniform(seed, zero, Stream.GOAL_RADIUS, one[:1], torch.float64)[..., 0]
+    extra = uniform(seed, zero, Stream.GOAL_RADIUS, index_zero[:1], torch.float64)[..., 0]
     fewest = start.fewest_shepherds or m
-    spread = uniform(seed, zero, Stream.N_SHEPHERDS, one[:1], torch.float64)
+    spread = uniform(seed, zero, Stream.N_SHEPHERDS, index_zero[:1], torch.float64)
     size = fewest + (spread * (m - fewest + 1)).long()  # (..., 1)
     shepherd_mask = torch.arange(m, device=device) < size
     shepherds = team + around(Stream.SHEPHERD_POSITION, m)
     return WorldState(
         seed=seed,
         step=zero,
-        sheep=(home + around(Stream.SHEEP_POSITION, n)).to(dtype),
+        sheep=(sheep_centers + around(Stream.SHEEP_POSITION, n)).to(dtype),
         heading=model_of(config.flock).first_heading(seed, n, config.flock).to(dtype),
         sheep_mask=torch.ones((*seed.shape, n), dtype=torch.bool, device=device),
         shepherds=(shepherds * shepherd_mask[..., None]).to(dtype),

@@ -17,7 +17,7 @@ class WorldState:
 
     Positions are in metres in the world frame. Absent agents (mask False) come after the present
     ones, stand on the goal and move nowhere. At least one sheep and one shepherd are present.
-    Nothing is changed in place: what is derived is computed once.
+    Nothing is changed in place; derived values are computed once.
     """
 
     seed: Tensor  # (...) int64: every random number of the episode follows from it
@@ -57,7 +57,7 @@ class WorldState:
         return (self.gap <= 0) & self.sheep_mask
 
     def world(self, index: int | slice | Tensor) -> WorldState:
-        """Return part of a batch along its first axis."""
+        """Return part of a batch, selected along its first axis."""
         return replace(self, **{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
     def to(self, *args: object) -> WorldState:

@@ -1,4 +1,4 @@
-"""Tally of an episode, step by step, for its metrics."""
+"""Counts and sums over the steps of an episode, for its metrics."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class MetricsTally:
         return replace(self, **parts, own=own)
 
     def world(self, index: int | slice | Tensor) -> MetricsTally:
-        """Return part of a batch along its first axis."""
+        """Return part of a batch, selected along its first axis."""
         return self._each(lambda mine, _: mine[index], self)
 
     def where(self, chosen: Tensor, other: MetricsTally) -> MetricsTally:
@@ -63,7 +63,7 @@ def flock_spread(state: WorldState) -> tuple[Tensor, Tensor]:
 
 
 def _home(state: WorldState) -> tuple[Tensor, Tensor]:
-    """Return the distance of the center to the goal's, (...) m, and if that is inside."""
+    """Return the distance of the center to the goal's, (...) m, and whether it is inside."""
     distance = torch.linalg.vector_norm(state.center - state.goal, dim=-1)
     return distance, distance <= state.goal_radius
 

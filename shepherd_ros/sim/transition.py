@@ -24,8 +24,8 @@ def move(state: WorldState, command: Tensor, config: WorldConfig) -> Tensor:
     """Return the positions of the shepherds dt later, (..., H, 2) m."""
     if compilable(state.shepherds, command) and command.shape == state.shepherds.shape:
         return compiled.move_compiled(state, command, config.shepherd_speed, config.dt)
-    obeyed = (finite_command(command) & state.shepherd_mask)[..., None]
-    velocity = clip_norm(torch.where(obeyed, command, 0.0), config.shepherd_speed)
+    valid = (finite_command(command) & state.shepherd_mask)[..., None]
+    velocity = clip_norm(torch.where(valid, command, 0.0), config.shepherd_speed)
     return state.shepherds + velocity * config.dt
 
 
@@ -46,11 +46,13 @@ def step(state: WorldState, command: Tensor, config: WorldConfig) -> WorldState:
         sheep=torch.where(present, sheep, state.sheep),
         heading=torch.where(present, heading, state.heading),
     )
-    return further(state, after, config) if config.others else after
+    return apply_world_parameters(state, after, config) if config.others else after
 
 
-def further(before: WorldState, after: WorldState, config: WorldConfig) -> WorldState:
-    """Return the state after a step with what the parameters of plug-ins do to it."""
+def apply_world_parameters(
+    before: WorldState, after: WorldState, config: WorldConfig
+) -> WorldState:
+    """Return the state after a step with the parameters of plug-ins applied."""
     for name, value in config.others:
         after = WORLD_PARAMETERS[name].apply(before, after, value, config.dt)
     sheep, shepherds = before.sheep_mask[..., None], before.shepherd_mask[..., None]

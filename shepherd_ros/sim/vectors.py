@@ -17,10 +17,10 @@ def unit(vector: Tensor) -> Tensor:
     return torch.where(length < EPSILON, 0.0, vector / length.clamp(min=EPSILON))
 
 
-def clip_norm(vector: Tensor, longest: float) -> Tensor:
-    """Return the vector cut to a length, direction kept; (..., 2) -> (..., 2)."""
+def clip_norm(vector: Tensor, max_norm: float) -> Tensor:
+    """Return the vector cut to max_norm, direction kept; (..., 2) -> (..., 2)."""
     length = torch.hypot(vector[..., :1], vector[..., 1:])  # does not overflow
-    return torch.where(length > longest, vector * (longest / length.clamp(min=EPSILON)), vector)
+    return torch.where(length > max_norm, vector * (max_norm / length.clamp(min=EPSILON)), vector)
 
 
 def bearing(vector: Tensor) -> Tensor:

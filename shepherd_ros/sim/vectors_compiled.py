@@ -22,7 +22,7 @@ def length(x, y):
 
 @compiled
 def unit_xy(x, y):
-    """Return the vector made one long, 0 where it is shorter than EPSILON."""
+    """Return the unit vector, 0 where it is shorter than EPSILON."""
     size = length(x, y)
     if size < _EPSILON:
         return _ZERO, _ZERO
@@ -43,7 +43,7 @@ def bearing_xy(x, y):
 
 @compiled
 def mean(points, mask):
-    """Return the mean of the present points, and how many they are."""
+    """Return x and y of the mean of the present points (K, 2), and their number."""
     count, x, y = 0, _ZERO, _ZERO
     for k in range(points.shape[0]):
         if mask[k]:
@@ -55,8 +55,8 @@ def mean(points, mask):
 
 
 @compiled
-def take_places(around, spacing, mask, place):
-    """Write what controllers.controller.places_on_arc() returns for one team into place (H,)."""
+def assign_places(around, spacing, mask, place):
+    """Write the angles of controllers.controller.places_on_arc() of one team into place (H,)."""
     team = around.shape[0]
     rank = np.zeros(team, np.int64)
     count = 0
@@ -67,15 +67,15 @@ def take_places(around, spacing, mask, place):
             rank[h] += mask[k] and before
     count = max(count, 1)
     middle = np.float32(count - 1) / _TWO
-    least, best = np.float32(np.inf), 0
+    lowest, best = np.float32(np.inf), 0
     for shift in range(count):
-        turned = _ZERO
+        total_turn = _ZERO
         for h in range(team):
             if mask[h]:
-                at = (np.float32((rank[h] + shift) % count) - middle) * spacing
-                turned += abs(wrap_angle(at - around[h]))
-        turned = np.float32(round(turned * np.float32(1e4)))
-        if turned < least:
-            least, best = turned, shift
+                angle = (np.float32((rank[h] + shift) % count) - middle) * spacing
+                total_turn += abs(wrap_angle(angle - around[h]))
+        total_turn = np.float32(round(total_turn * np.float32(1e4)))
+        if total_turn < lowest:
+            lowest, best = total_turn, shift
     for h in range(team):
         place[h] = (np.float32((rank[h] + best) % count) - middle) * spacing

@@ -1,4 +1,4 @@
-"""The configuration of a world: who is in it, how time runs, how an episode starts."""
+"""The configuration of a world: its agents, its time and the start of an episode."""
 
 from __future__ import annotations
 
@@ -81,13 +81,13 @@ class WorldConfig(Extended):
         return data | {'flock': {'model': model_of(self.flock).name, **data['flock']}}
 
     def changes(self) -> dict[str, Any]:
-        """Return what differs from the defaults, and always the name of the flock model."""
+        """Return the values that differ from the defaults, and always the flock model's name."""
         flock = {'model': model_of(self.flock).name, **self.flock.changes()}
         return super().changes() | {'flock': flock}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> WorldConfig:
-        """Return the configuration that to_dict() gave, or raise ConfigError."""
+        """Return the configuration of the data of to_dict(), or raise ConfigError."""
         values = dict(data)
         flock = dict(mapping('flock', values.pop('flock', {})))
         model = FLOCK_MODELS[flock.pop('model', 'strombom')]

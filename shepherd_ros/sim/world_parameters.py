@@ -17,7 +17,7 @@ from shepherd_ros.sim.state import WorldState
 @dataclass(frozen=True)
 class WorldParameter:
     """
-    A named number and what it does to a world.
+    A named number with its law, which changes the steps of a world.
 
     apply(before, after, value, dt) -> state: the state at the end of a step of dt [s] that began
     with before and would have ended with after. Only values other than the default are applied.

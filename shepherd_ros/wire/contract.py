@@ -1,4 +1,4 @@
-"""Contract of topics: match of a bag's topics, and hashes that compare two versions."""
+"""Contract of topics: entries for a bag's topics, and hashes that compare two versions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from shepherd_ros.wire.schemas import installed_text, nested_text, schema_text, 
 from shepherd_ros.wire.topics import contract, families, member, Topic, topic_pattern
 
 HASHED_DEPTHS = {'command': 1, 'clock': 1}  # of queues that have become longer, no other meaning
-PROSE = ('publisher', 'subscribers', 'meaning')  # may change without any change on the wire
+PROSE_FIELDS = ('publisher', 'subscribers', 'meaning')  # may change without any change on the wire
 HASH_LENGTH = 12  # characters of the hash of a topic
 # contract_hash() when bags began to have one for each topic, which were then as they are
 FIRST_CONTRACT_HASH = '57135bfda311c7fd6e26293ad7e9721224dca443640b9455ced35affab933188'
@@ -30,7 +30,7 @@ class KnownTopic:
 
     @property
     def types(self) -> tuple[str, ...]:
-        """Return the types that it may have."""
+        """Return the types that the topic may have."""
         return tuple(kind for kind in (self.topic.type, self.topic.alternative) if kind)
 
 
@@ -52,20 +52,20 @@ def known(name: str) -> KnownTopic | None:
     for pattern, row in _patterns():
         match = pattern.fullmatch(name)
         if match is not None:
-            found = match.groupdict()
-            shepherd = None if found.get('h') is None else int(found['h'])
-            one = member(row, found['member']) if 'member' in found else row
-            return KnownTopic(one, found['space'], shepherd, row.name)
+            groups = match.groupdict()
+            shepherd = None if groups.get('h') is None else int(groups['h'])
+            topic = member(row, groups['member']) if 'member' in groups else row
+            return KnownTopic(topic, groups['space'], shepherd, row.name)
     return None
 
 
 def _meaning(row: Topic) -> dict[str, str]:
-    """Return what a row says, but for what is said for people only."""
-    return {key: value for key, value in asdict(row).items() if key not in PROSE}
+    """Return the fields of a row that change the wire."""
+    return {key: value for key, value in asdict(row).items() if key not in PROSE_FIELDS}
 
 
 def _profile(name: str) -> dict[str, Any]:
-    """Return what a profile says, in the words of the first hashes."""
+    """Return the fields of a profile, with the depths of the first hashes."""
     profile = asdict(contract()[1][name])
     return profile | {'depth': HASHED_DEPTHS.get(name, profile['depth'])}
 
@@ -77,7 +77,7 @@ def _hash(content: Any) -> str:
 
 @cache
 def topic_hashes() -> dict[str, str]:
-    """Return a hash of what each row and family means: fields, profile and texts of its types."""
+    """Return a hash by row and family, of its fields, its profile and the texts of its types."""
     hashes = {}
     for name, row in (contract()[0] | families()).items():
         texts = [schema_text(kind) for kind in (row.type, row.alternative) if kind]
@@ -90,8 +90,7 @@ def contract_hash() -> str:
     """
     Return the SHA-256 of the contract in hexadecimal: topics, profiles and texts of all types.
 
-    What is said for people only (meaning, publisher, subscribers) does not count. Bags from
-    before topic_hashes() have this alone.
+    Fields of PROSE_FIELDS do not count. Bags from before topic_hashes() have this alone.
     """
     topics, profiles = contract()
     rows = [_meaning(row) for _, row in sorted(topics.items())]
@@ -101,13 +100,13 @@ def contract_hash() -> str:
 
 @cache
 def known_text(type_name: str) -> bytes:
-    """Return the text of a type of the contract as it stands in a bag."""
+    """Return the text of a type of the contract, encoded as in a bag."""
     return schema_text(type_name).encode()
 
 
 @cache
 def text_hash(type_name: str, text: str) -> str:
-    """Return the hash of a type as ROS 2 computes it, RIHS01_ and SHA-256; '' for no such text."""
+    """Return the hash of a type as ROS 2 computes it, RIHS01_ and SHA-256; '' if not parsable."""
     from rosbags.typesys import get_types_from_msg, get_typestore, Stores  # 20 modules: late
 
     store = get_typestore(Stores.EMPTY)
@@ -125,7 +124,7 @@ def type_hash(type_name: str) -> str:
 
 
 def installed_hash(type_name: str) -> str:
-    """Return the hash of a type as it is installed, '' if its text is not there."""
+    """Return the hash of an installed type, '' if it is not installed."""
     if type_name in wire_types():
         return type_hash(type_name)
     try:

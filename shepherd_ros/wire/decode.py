@@ -1,8 +1,8 @@
 """
-Messages of the contract from CDR to numbers, without ROS.
+Decoding of the contract's messages from CDR to numbers, without ROS.
 
-Every function takes the bytes of one message and raises CdrError if they are not what they should
-be. Arrays may share the memory of the message and are not to be written to.
+Every function takes the bytes of one message and raises CdrError if they are no such message.
+Arrays may share the memory of the message and must not be written to.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SCAN_OFFSET = 32  # [bytes] of a sensor_msgs/LaserScan from its header to its ra
 
 
 class CdrError(ValueError):
-    """Bytes that are no message of the type that they should be."""
+    """Bytes that are no message of the expected type."""
 
 
 class Poses(NamedTuple):
@@ -59,7 +59,7 @@ class Vector(NamedTuple):
 
     @property
     def xy(self) -> Floats:
-        """Return both as an array (2,)."""
+        """Return x and y as an array (2,)."""
         return np.array((self.x, self.y))
 
 
@@ -74,7 +74,7 @@ class Motion(NamedTuple):
 
 
 class _Order:
-    """What stands in messages of one byte order, ready to be read."""
+    """Readers of the parts of a message in one byte order."""
 
     def __init__(self, sign: str) -> None:
         def reader(form: str) -> Callable[[bytes, int], tuple[Any, ...]]:
@@ -90,19 +90,19 @@ _ORDERS = {b'\x00\x01': _Order('<'), b'\x00\x00': _Order('>')}  # by what is in 
 
 
 def _checked(read: Callable[[bytes, _Order], Any]) -> Callable[[bytes], Any]:
-    """Return a decoder that raises CdrError where there is less to be read than it takes."""
+    """Return a decoder that raises CdrError for bytes that are no such message."""
 
     @wraps(read)
     def decode(raw: bytes) -> Any:
         try:
             return read(raw, _ORDERS[raw[:2]])
         except KeyError:
-            why = f'{raw[:HEADER].hex()} in front, expected plain CDR, 00010000'
+            reason = f'{raw[:HEADER].hex()} in front, expected plain CDR, 00010000'
         except UnicodeDecodeError:
-            why = 'a text that is no UTF-8'
+            reason = 'a text that is no UTF-8'
         except (struct.error, ValueError) as error:
-            why = f'{len(raw)} bytes, {error}'
-        raise CdrError(why)
+            reason = f'{len(raw)} bytes, {error}'
+        raise CdrError(reason)
 
     return decode
 
@@ -130,11 +130,11 @@ def decode_stamp(raw: bytes, order: _Order) -> int:
 @_checked
 def decode_poses(raw: bytes, order: _Order) -> Poses:
     """Return a geometry_msgs/PoseArray."""
-    stamp_ns, frame_id, at = _header(raw, order)
-    at += -at % 4
-    (count,) = order.count(raw, at)
-    at += 4 + -at % 8 if count else 0  # offsets count after four bytes of encapsulation
-    poses = np.frombuffer(raw, order.float64, 7 * count, at).reshape(count, 7)
+    stamp_ns, frame_id, offset = _header(raw, order)
+    offset += -offset % 4
+    (count,) = order.count(raw, offset)
+    offset += 4 + -offset % 8 if count else 0  # offsets count after four bytes of encapsulation
+    poses = np.frombuffer(raw, order.float64, 7 * count, offset).reshape(count, 7)
     heading = np.empty((count, 2))
     x, y, z, w = np.ascontiguousarray(poses[:, 3:].T)
     with np.errstate(all='ignore'):  # a quaternion may be anything
@@ -146,10 +146,10 @@ def decode_poses(raw: bytes, order: _Order) -> Poses:
 @_checked
 def decode_scan(raw: bytes, order: _Order) -> Scan:
     """Return a sensor_msgs/LaserScan."""
-    stamp_ns, frame_id, at = _header(raw, order)
-    at += -at % 4
-    start, end, increment, _, _, low, high, count = order.scan(raw, at)
-    ranges = np.frombuffer(raw, order.float32, count, at + SCAN_OFFSET)
+    stamp_ns, frame_id, offset = _header(raw, order)
+    offset += -offset % 4
+    start, end, increment, _, _, low, high, count = order.scan(raw, offset)
+    ranges = np.frombuffer(raw, order.float32, count, offset + SCAN_OFFSET)
     ranges = ranges.astype(np.float32, copy=False)
     return Scan(stamp_ns, frame_id, start, end, increment, low, high, ranges)
 
@@ -158,9 +158,9 @@ def decode_scan(raw: bytes, order: _Order) -> Scan:
 def decode_twist_stamped(raw: bytes, order: _Order) -> Vector:
     """Return the velocity in the plane of a geometry_msgs/TwistStamped."""
     sec, nanosec, length = order.header(raw, HEADER)  # once for each command: no further calls
-    at = FRAME_OFFSET + length
-    x, y = order.pair(raw, at + (HEADER - at) % 8)
-    frame_id = raw[FRAME_OFFSET:at].removesuffix(b'\x00').decode()
+    offset = FRAME_OFFSET + length
+    x, y = order.pair(raw, offset + (HEADER - offset) % 8)
+    frame_id = raw[FRAME_OFFSET:offset].removesuffix(b'\x00').decode()
     return Vector(sec * SECOND + nanosec, frame_id, x, y)
 
 

@@ -1,4 +1,4 @@
-"""Messages of the contract as CDR, little endian, from plain arrays: for nodes and for files."""
+"""Encoding of the contract's messages as CDR, little endian, from plain arrays."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ def encode_poses(ns: int, frame_id: str, position: np.ndarray, heading: np.ndarr
     head = _header(ns, frame_id, 4) + struct.pack('<I', len(position))
     poses = np.zeros((len(position), 7), '<f8')
     poses[:, :2] = position
-    way = heading.astype(np.float64)
-    half = np.arctan2(way[:, 1], way[:, 0]) / 2
+    unit_heading = heading.astype(np.float64)
+    half = np.arctan2(unit_heading[:, 1], unit_heading[:, 0]) / 2
     poses[:, 5], poses[:, 6] = np.sin(half), np.cos(half)
-    gap = bytes(-len(head) % 8 if poses.size else 0)
-    return ENCAPSULATION + head + gap + poses.tobytes()
+    padding = bytes(-len(head) % 8 if poses.size else 0)
+    return ENCAPSULATION + head + padding + poses.tobytes()
 
 
 def encode_goal(ns: int, frame_id: str, x: float, y: float) -> bytes:
-    """Return a geometry_msgs/PoseStamped at x, y [m], not turned."""
+    """Return a geometry_msgs/PoseStamped at x, y [m] with the identity rotation."""
     pose = struct.pack('<7d', x, y, 0.0, 0.0, 0.0, 0.0, 1.0)
     return ENCAPSULATION + _header(ns, frame_id, 8) + pose
 
@@ -51,14 +51,14 @@ def encode_scan(
     ns: int, frame_id: str, ranges: np.ndarray, range_max: float, scan_time: float
 ) -> bytes:
     """Return ranges (R,) m of a full circle from +x as sensor_msgs/LaserScan; +inf for none."""
-    about = _scan_form(len(ranges), range_max, scan_time)
+    scan_fields = _scan_form(len(ranges), range_max, scan_time)
     values = np.ascontiguousarray(ranges, '<f4').tobytes()
-    return b''.join((ENCAPSULATION, _header(ns, frame_id, 4), about, values, bytes(4)))
+    return b''.join((ENCAPSULATION, _header(ns, frame_id, 4), scan_fields, values, bytes(4)))
 
 
 @lru_cache(maxsize=256)
 def _scan_form(n_rays: int, range_max: float, scan_time: float) -> bytes:
-    """Return what a sensor_msgs/LaserScan has between its header and its ranges."""
+    """Return the fields of a sensor_msgs/LaserScan between its header and its ranges."""
     pitch = 2 * np.pi / n_rays
     last = (n_rays - 1) * pitch
     return struct.pack('<7fI', 0.0, last, pitch, 0.0, scan_time, 0.0, range_max, n_rays)

@@ -56,7 +56,7 @@ class Episode:
     goal_radius: float  # m
     frame_id: str
     mode: str
-    world: Mapping[str, Any]  # plain data: what WorldConfig.to_dict() gives
+    world: Mapping[str, Any]  # plain data, as of WorldConfig.to_dict()
     version: str = __version__
 
     @property
@@ -66,7 +66,7 @@ class Episode:
 
     @property
     def dt_ns(self) -> int:
-        """Return the time between two states."""
+        """Return the time between two states [ns]."""
         return round(self.dt * 1e9)
 
     @property
@@ -75,7 +75,7 @@ class Episode:
         return int(self.world['episode_steps'])
 
     def step_of(self, stamp_ns: int) -> int:
-        """Return the step of a state's stamp; outside 0 .. episode_steps it is not of this one."""
+        """Return the step of a stamp [ns]; outside 0 .. episode_steps: of another episode."""
         return (stamp_ns - self.start_ns) // self.dt_ns
 
     def has(self, stamp_ns: int) -> bool:
@@ -83,7 +83,7 @@ class Episode:
         return 0 <= self.step_of(stamp_ns) <= self.episode_steps
 
     def to_json(self) -> str:
-        """Return the content of the topic."""
+        """Return the content of the topic, JSON."""
         data = {name: getattr(self, name) for name in EPISODE_FIELDS} | {
             'schema': SCHEMA,
             'start': {
@@ -97,32 +97,34 @@ class Episode:
     @classmethod
     def from_json(cls, text: str, **defaults: Any) -> Episode:
         """
-        Return the episode, or raise ConfigError that says what is wrong with the text.
+        Return the episode, or raise ConfigError with the fault of the text.
 
-        defaults are values of what may be missing. Of the world only what all readers need is
-        checked, the rest by WorldConfig.from_dict().
+        defaults are values of fields that may be missing. Of the world only the fields in WORLD
+        are checked, the rest by WorldConfig.from_dict().
         """
         try:
             data = mapping('episode', json.loads(text))
             _expect(data, EPISODE_FIELDS.keys() | {'schema', 'start', 'world'})
             if data['schema'] is True or data['schema'] != SCHEMA:
                 raise ConfigError(f'schema is {data["schema"]!r}: expected {SCHEMA}')
-            given = {
+            present = {
                 n: EPISODE_FIELDS[n] for n in EPISODE_FIELDS if n in data or n not in defaults
             }
-            about = defaults | _read(data, given)
+            values = defaults | _read(data, present)
             start = _read(_expect(mapping('start', data['start']), START.keys()), START)
             world = dict(mapping('world', data['world']))
             world |= _read(world, WORLD)
-            if not (about['frame_id'] and re.match('[0-9]+[.][0-9]+[.][0-9]+', about['version'])):
+            if not (
+                values['frame_id'] and re.match('[0-9]+[.][0-9]+[.][0-9]+', values['version'])
+            ):
                 raise ConfigError('frame_id or version is empty: expected names')
             return cls(
-                start_ns=start['sec'] * _NS_PER_SECOND + start['nanosec'], world=world, **about
+                start_ns=start['sec'] * _NS_PER_SECOND + start['nanosec'], world=world, **values
             )
         except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-            why = str(error) if isinstance(error, ConfigError) else repr(error)
+            reason = str(error) if isinstance(error, ConfigError) else repr(error)
             raise ConfigError(
-                f'episode {text[:60]!r} cannot be read ({why:.200}): expected JSON as in '
+                f'episode {text[:60]!r} cannot be read ({reason:.200}): expected JSON as in '
                 'msg_schemas/episode.schema.json'
             ) from error
 
@@ -136,4 +138,4 @@ def _expect(data: Mapping[str, Any], names: Set[str]) -> Mapping[str, Any]:
 
 def _read(data: Mapping[str, Any], fields: Mapping[str, Any]) -> dict[str, Any]:
     """Return some fields of data; raises KeyError and ConfigError."""
-    return {name: checked(name, data[name], *about) for name, about in fields.items()}
+    return {name: checked(name, data[name], *limits) for name, limits in fields.items()}

@@ -1,4 +1,4 @@
-"""The schemas of msg_schemas/: texts of message types, as MCAP wants them, and JSON schemas."""
+"""The schemas of msg_schemas/: texts of message types, in the form of MCAP, and JSON schemas."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def schema_text(type_name: str) -> str:
 
 
 def dependencies(text: str, package: str) -> list[str]:
-    """Return the types used in a text, such as std_msgs/Header, sorted; package is its own."""
+    """Return the types used in a text of a package, such as std_msgs/Header, sorted."""
     used = set(_FIELD.findall(text)) - _PRIMITIVES
     return sorted(name if '/' in name else f'{package}/{name}' for name in used)
 
@@ -58,14 +58,14 @@ def nested_text(type_name: str, text_of: Callable[[str], str]) -> str:
     text_of(std_msgs/Header) returns the text of one type. Order and rulers are those of rosbag2:
     depth first, the types of one text in alphabetical order.
     """
-    seen: set[str] = set()
+    included: set[str] = set()
 
     def expand(name: str) -> str:
         text = text_of(name)
-        for used in dependencies(text, name.split('/')[0]):
-            if used not in seen:
-                seen.add(used)
-                text += f'\n{RULER}\nMSG: {used}\n{expand(used)}'
+        for dependency in dependencies(text, name.split('/')[0]):
+            if dependency not in included:
+                included.add(dependency)
+                text += f'\n{RULER}\nMSG: {dependency}\n{expand(dependency)}'
         return text
 
     return expand(re.sub('/(msg|srv)/', '/', type_name))

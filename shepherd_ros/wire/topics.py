@@ -41,7 +41,7 @@ def metric_topic(name: str) -> str:
 
 @dataclass(frozen=True)
 class Profile:
-    """Quality of service: what a publisher offers, and what our subscribers ask for."""
+    """Quality of service: offered by publishers, and requested by our subscribers."""
 
     reliability: str
     durability: str
@@ -76,9 +76,9 @@ def _table() -> Any:
 
 def _rows(part: str) -> dict[str, Topic]:
     """Return the rows of a part of the file by name."""
-    many = ('publisher', 'subscribers')
+    list_columns = ('publisher', 'subscribers')
     return {
-        row['name']: Topic(**row | {name: tuple(row[name]) for name in many})
+        row['name']: Topic(**row | {name: tuple(row[name]) for name in list_columns})
         for row in _table()[part]
     }
 
@@ -91,18 +91,18 @@ def contract() -> tuple[dict[str, Topic], dict[str, Profile]]:
 
 @cache
 def families() -> dict[str, Topic]:
-    """Return the rows that stand for many topics, as {member} in their names may be any word."""
+    """Return the rows of many topics, by name: {member} in a name may be any word."""
     return _rows('families')
 
 
 def topic_pattern(name: str, shepherd: str = re.escape('{h}')) -> str:
-    """Return a regular expression for the topics of a row; shepherd is that of an index."""
+    """Return a regular expression for the topics of a row; shepherd: that of an index."""
     text = re.escape(name).replace(re.escape('{h}'), shepherd)
     return text.replace(re.escape('{member}'), r'(?P<member>[a-z][a-z0-9_]*)')
 
 
 def member(family: Topic, name: str, **values: Any) -> Topic:
-    """Return the row of one topic of a family; values are others of its fields."""
+    """Return the row of one topic of a family, with other values of its fields."""
     return replace(family, name=family.name.replace('{member}', name), **values)
 
 
@@ -119,7 +119,7 @@ def row_of(name: str) -> Topic:
 
 
 def topic_text(row: Topic) -> str:
-    """Return a row as it stands in the file."""
+    """Return a row as the text of topics.yaml."""
     lines = []
     for key, value in asdict(row).items():
         if value:
@@ -151,7 +151,7 @@ def topic_table() -> str:
 
 
 def renamed_topics(namespace: str, n_shepherds: int) -> list[tuple[str, str]]:
-    """Return remaps for a viewer that has the topics of no namespace, to see those of one."""
+    """Return remaps (from, to) for a viewer without a namespace, to show the topics of one."""
     if not namespace.strip('/'):
         return []
     names = [

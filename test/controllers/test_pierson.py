@@ -27,7 +27,7 @@ from reference import (
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.controllers.controller import Memory
-from shepherd_ros.controllers.pierson import opening_for, PiersonConfig, push_share
+from shepherd_ros.controllers.pierson import opening_for, PiersonConfig, push_fraction
 from shepherd_ros.sim.flocking.reynolds_flock import ReynoldsFlock
 from shepherd_ros.sim.flocking.strombom_flock import StrombomFlock
 from shepherd_ros.sim.state import WorldState
@@ -97,7 +97,7 @@ def ring_state(seed: int, n: int, m: int) -> WorldState:
 
 
 def share(opening: float, m: int) -> float:
-    return float(push_share(torch.tensor(opening, dtype=DOUBLE), torch.tensor(m)))
+    return float(push_fraction(torch.tensor(opening, dtype=DOUBLE), torch.tensor(m)))
 
 
 def opening(value: float, m: int) -> float:
@@ -137,9 +137,9 @@ def test_the_opening_is_the_inverse_of_the_share() -> None:
         shares = np.linspace(0.01, 0.99, 99)
         openings = opening_for(torch.tensor(shares), torch.full((99,), m))
         assert_near(openings, [arc_opening(s, m) for s in shares], 2e-4)
-        assert_near(push_share(openings, torch.full((99,), m)), shares, 2e-5)
+        assert_near(push_fraction(openings, torch.full((99,), m)), shares, 2e-5)
         assert (openings.diff() < 0).all()
-        again = opening_for(push_share(openings, torch.full((99,), m)), torch.full((99,), m))
+        again = opening_for(push_fraction(openings, torch.full((99,), m)), torch.full((99,), m))
         assert_near(again, openings, 4e-4)
         for delta in openings[::20].tolist():
             assert share(delta, m) == pytest.approx(arc_share(delta, m), abs=1e-12)

@@ -23,7 +23,7 @@ from shepherd_ros.datasets.dataset_report import Report
 from shepherd_ros.datasets.examples import (
     bag_folders,
     build_dataset,
-    look_at,
+    count_examples,
     stream_steps,
 )
 from shepherd_ros.datasets.lerobot_format import DATA_PATH, EPISODES_PATH
@@ -209,7 +209,7 @@ def test_few_episodes_are_in_memory_at_once(
         Steps: (report.episodes, True),
     }
     alive[Steps].clear()
-    assert look_at([tmp_path / 'built'], OBSERVATION).examples == report.examples
+    assert count_examples([tmp_path / 'built'], OBSERVATION).examples == report.examples
     assert (len(alive[Steps]), max(alive[Steps]) <= 2) == (report.episodes, True)
 
 
@@ -256,7 +256,7 @@ def test_spread_by_hand() -> None:
 def test_info_tells_what_is_there(bags: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['dataset', 'info', str(bags), '--spacing', '3', '--json']) == 0
     data = json.loads(capsys.readouterr().out)
-    report = look_at([bags], OBSERVATION)
+    report = count_examples([bags], OBSERVATION)
     assert data == json.loads(json.dumps(report.to_dict()))
     actions, shares, teams = [], [], []
     for path in bags.iterdir():
@@ -340,7 +340,7 @@ def test_bags_of_two_kinds_make_no_data_set(bags: Path, tmp_path: Path) -> None:
 def test_labels_of_a_built_folder_have_to_be_those_asked_for(bags: Path, tmp_path: Path) -> None:
     build_dataset([bags], tmp_path / 'built', OBSERVATION)
     with pytest.raises(ConfigError, match="its labels are '', expected 'teacher'"):
-        look_at([tmp_path / 'built'], OBSERVATION, 'teacher')
+        count_examples([tmp_path / 'built'], OBSERVATION, 'teacher')
 
 
 def test_bags_are_found_with_and_without_metadata(bags: Path, tmp_path: Path) -> None:
@@ -362,7 +362,7 @@ def test_a_data_set_of_others_is_refused(bags: Path, tmp_path: Path) -> None:
     odd = table.set_column(first, 'length', pa.array([10**9] * len(table)))
     parquet.write_table(odd, out / EPISODES_PATH)
     with pytest.raises(BagError, match='length is 1000000000, expected 1 to 10000000'):
-        look_at([out], OBSERVATION)
+        count_examples([out], OBSERVATION)
     (out / 'meta/shepherd_ros.json').unlink()
     with pytest.raises(BagError, match='so it is no data set of ours'):
-        look_at([out], OBSERVATION)
+        count_examples([out], OBSERVATION)

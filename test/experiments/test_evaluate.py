@@ -19,7 +19,12 @@ from shepherd_ros.experiments.cells import Cell, run_cell
 from shepherd_ros.experiments.methods import checkpoint_hash, full_name, make_method
 from shepherd_ros.experiments.results import read_results
 from shepherd_ros.experiments.runner import run_episodes
-from shepherd_ros.experiments.setting import describe_setting, env_config, Setting, settled
+from shepherd_ros.experiments.setting import (
+    canonical_setting,
+    describe_setting,
+    env_config,
+    Setting,
+)
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 import torch
@@ -104,9 +109,9 @@ def test_experiments_have_the_settings_of_section_10() -> None:
 
 
 def test_a_setting_says_in_what_it_differs_from_the_paper() -> None:
-    assert describe_setting(settled(Setting())) == 'default setting'
-    assert describe_setting(settled(Setting(sheep=10, rays=64))) == '10 sheep, 64 rays'
-    assert describe_setting(settled(Setting(preset='rho_a_one'))) == 'preset rho_a_one'
+    assert describe_setting(canonical_setting(Setting())) == 'default setting'
+    assert describe_setting(canonical_setting(Setting(sheep=10, rays=64))) == '10 sheep, 64 rays'
+    assert describe_setting(canonical_setting(Setting(preset='rho_a_one'))) == 'preset rho_a_one'
     assert env_config(Setting(start='two_groups')).world.spawn.flock_groups == 2
 
 

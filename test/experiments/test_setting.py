@@ -14,11 +14,11 @@ from shepherd_ros.experiments.methods import make_method
 from shepherd_ros.experiments.results import read_results
 from shepherd_ros.experiments.samples import samples_of
 from shepherd_ros.experiments.setting import (
+    canonical_setting,
     changes_of,
     describe_setting,
     env_config,
     Setting,
-    settled,
 )
 from shepherd_ros.recordings.episodes import iter_episodes
 from shepherd_ros.rosbag2.reader import open_bag
@@ -36,7 +36,7 @@ def test_short_names_have_the_defaults_of_the_options_that_they_stand_for() -> N
             assert type(f.default) is type(values[f.metadata['path']]), f.name
     assert env_config(Setting()) == EnvConfig()
     assert changes_of(Setting()) == {}
-    assert settled(Setting()).repulsion == WorldConfig().flock.sheep_repulsion
+    assert canonical_setting(Setting()).repulsion == WorldConfig().flock.sheep_repulsion
 
 
 def test_every_option_can_be_set_by_its_path() -> None:
@@ -63,12 +63,13 @@ def test_every_option_can_be_set_by_its_path() -> None:
 
 def test_a_path_and_its_short_name_are_one_setting() -> None:
     words = ('world.n_sheep=7', 'world.flock.sheep_repulsion=1', 'world.dt=0.25')
-    setting = settled(Setting(set=words))
+    setting = canonical_setting(Setting(set=words))
     assert (setting.sheep, setting.repulsion, setting.set) == (7, 1.0, ('world.dt=0.25',))
-    assert setting == settled(Setting(sheep=7, repulsion=1.0, set=('world.dt=0.25',)))
-    assert settled(setting) == setting
+    assert setting == canonical_setting(Setting(sheep=7, repulsion=1.0, set=('world.dt=0.25',)))
+    assert canonical_setting(setting) == setting
     assert describe_setting(setting) == '7 sheep, rho_a 1, world.dt=0.25'
-    zero = settled(Setting(set=('world.flock.sheep_repulsion=0',)))  # not that of the preset
+    # not that of the preset
+    zero = canonical_setting(Setting(set=('world.flock.sheep_repulsion=0',)))
     assert env_config(zero).world.flock.sheep_repulsion == 0.0
     both = [
         Setting(sheep=7),

@@ -14,7 +14,7 @@ import pytest
 from shepherd_ros.config import ConfigError
 from shepherd_ros.integrations.environments import HerdingEnv, HerdingParallelEnv, HerdingVectorEnv
 from shepherd_ros.sim.env import ShepherdEnv
-from shepherd_ros.sim.observation import first_ray, network_input, ObservationConfig, turned
+from shepherd_ros.sim.observation import first_ray, network_input, ObservationConfig, rotate_by_ray
 from shepherd_ros.sim.presets import training_world
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
@@ -44,7 +44,7 @@ def test_vector_environments_are_those_of_the_core(observation: ObservationConfi
         assert env.observation_space.contains(seen)
         action = draw.uniform(-1, 1, (6, 2)).astype(np.float32)
         way = torch.from_numpy(action).unflatten(0, (3, 2)) * 0.8
-        command = turned(way, first_ray(stack[..., -1, :, :], observation), 512)
+        command = rotate_by_ray(way, first_ray(stack[..., -1, :, :], observation), 512)
         seen, reward, terminated, truncated, info = env.step(action)
         stack, gained, _, _, told = core.step(command)
         assert np.array_equal(reward, gained.repeat_interleave(2))

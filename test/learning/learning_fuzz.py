@@ -32,7 +32,7 @@ from rosbag2 import fuzz
 from shepherd_ros.cli.checkpoint_verbs import _Info
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.config import ConfigError
-from shepherd_ros.datasets.examples import look_at
+from shepherd_ros.datasets.examples import count_examples
 from shepherd_ros.sim.observation import ObservationConfig
 import torch
 
@@ -258,7 +258,7 @@ def bag(seeds: Path, work: Path, rng: random.Random) -> str:
 
 def open_place(work: Path) -> None:
     """Read all examples, as `shepherd dataset info` does."""
-    look_at([work / 'place'], OBSERVATION)
+    count_examples([work / 'place'], OBSERVATION)
 
 
 KINDS: dict[str, tuple[Callable[[Path, Path, random.Random], str], Callable[[Path], None]]] = {

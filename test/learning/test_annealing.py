@@ -21,7 +21,7 @@ def test_the_time_is_halved_down_to_the_last() -> None:
     assert [stage.action_repeat for stage in found] == [8, 4, 2, 1]
     # the floor of the spread falls by the same factor at each stage, 0.4 / 0.05 = 2 ** 3
     assert [stage.network.min_std for stage in found] == pytest.approx([0.4, 0.2, 0.1, 0.05])
-    assert [stage.frames.apart for stage in found] == [1, 2, 4, 8]
+    assert [stage.frames.spacing for stage in found] == [1, 2, 4, 8]
     assert stages(FIRST, AnnealConfig(final_action_repeat=8)) == [FIRST]
 
 

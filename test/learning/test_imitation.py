@@ -27,7 +27,7 @@ from shepherd_ros.recordings.episodes import iter_episodes, RecordedEpisode
 from shepherd_ros.recordings.record import record_episodes
 from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.sim.env import ShepherdEnv
-from shepherd_ros.sim.observation import ObservationConfig, turned
+from shepherd_ros.sim.observation import ObservationConfig, rotate_by_ray
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.vectors import clip_norm
 from shepherd_ros.sim.world import WorldConfig
@@ -59,7 +59,7 @@ def episode_of(bags: Path) -> RecordedEpisode:
 
 def examples_in(episode: RecordedEpisode, report: Report) -> EpisodeExamples:
     steps = steps_of(episode, 'bag', 0, report.refuse)
-    report.see(steps)
+    report.count_episode(steps)
     require_fit(steps, CONFIG)
     found = examples_of(steps, CONFIG.observation, report)
     assert found is not None
@@ -148,7 +148,7 @@ def test_wanted_actions_are_relative_to_the_ray_in_front(bags: Path) -> None:
     got = examples_in(episode_of(bags), Report())
     (_, first, wanted), _ = stream_examples([bags], policy_of(), Report())
     assert (first != 0).any()
-    torch.testing.assert_close(turned(wanted, first, 512), got.wanted, atol=1e-5, rtol=0)
+    torch.testing.assert_close(rotate_by_ray(wanted, first, 512), got.wanted, atol=1e-5, rtol=0)
 
 
 def test_a_store_keeps_the_newest_examples() -> None:
@@ -241,13 +241,13 @@ def test_a_lesson_keeps_what_the_teacher_would_do_where_the_learner_is() -> None
     lesson.run(1, False, examples)
     expected = label[start.shepherd_mask]
     count = len(expected)
-    got = turned(examples.wanted[:count], examples.first[:count], 512)
+    got = rotate_by_ray(examples.wanted[:count], examples.first[:count], 512)
     torch.testing.assert_close(got, expected, atol=1e-5, rtol=0)
     # the learner drove
     frames = examples.frames[:count]
-    action = policy.actor(policy.arranged(frames, examples.first[:count]))[0]
+    action = policy.actor(policy.arrange(frames, examples.first[:count]))[0]
     moved = (lesson.group.moment.state.shepherds - start.shepherds)[start.shepherd_mask] / 0.5
-    turned_action = turned(action, examples.first[:count], 512).detach()
+    turned_action = rotate_by_ray(action, examples.first[:count], 512).detach()
     torch.testing.assert_close(moved, turned_action, atol=1e-4, rtol=0)
     # the teacher drives
     before = lesson.group.moment.state

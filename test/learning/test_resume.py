@@ -294,7 +294,7 @@ def test_labels_are_of_the_step_of_their_frames_when_actions_are_held() -> None:
         def add(self, frames: Tensor, first: Tensor, wanted: Tensor) -> None:
             now = worlds.group.moment
             present = now.state.shepherd_mask
-            newest.append((frames[:, -1], policy.scaled(now.ranges[present])))
+            newest.append((frames[:, -1], policy.scale(now.ranges[present])))
 
     worlds.run(10, False, Kept())  # type: ignore[arg-type]
     assert len(newest) == 3  # steps 0, 4 and 8

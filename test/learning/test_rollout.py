@@ -19,7 +19,7 @@ from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.flocking.reynolds_flock import ReynoldsFlock
 from shepherd_ros.sim.flocking.strombom_flock import StrombomFlock
 from shepherd_ros.sim.lidar import LidarConfig
-from shepherd_ros.sim.observation import ObservationConfig, turned
+from shepherd_ros.sim.observation import ObservationConfig, rotate_by_ray
 from shepherd_ros.sim.presets import home_world
 from shepherd_ros.sim.rng import FIRST_MIXED
 import torch
@@ -74,14 +74,14 @@ def test_inputs_rewards_and_values_are_those_of_the_environment(
         assert stack is not None
         frames = stack[mask]
         first = policy.first_ray(frames[:, -1])
-        x = policy.arranged(policy.scaled(frames), first)
+        x = policy.arrange(policy.scale(frames), first)
         torch.testing.assert_close(
             rollout.store.inputs(batch.rows[chosen], batch.first[chosen]), x
         )
         value = policy.critic(x)
         torch.testing.assert_close(batch.value[chosen], value, atol=1e-5, rtol=1e-5)
         command = torch.zeros(WORLDS, TASK.shepherds_max, 2)
-        command[mask] = turned(batch.action[chosen], first, 64)
+        command[mask] = rotate_by_ray(batch.action[chosen], first, 64)
         total = torch.zeros(WORLDS)
         for _ in range(repeat):
             stack, reward, _, _, info = env.step(command)
@@ -91,9 +91,7 @@ def test_inputs_rewards_and_values_are_those_of_the_environment(
         assert stack is not None
         # with lambda 0 the advantage is the error of one decision; the end is bootstrapped
         later = stack[mask]
-        after = policy.critic(
-            policy.arranged(policy.scaled(later), policy.first_ray(later[:, -1]))
-        )
+        after = policy.critic(policy.arrange(policy.scale(later), policy.first_ray(later[:, -1])))
         # the environment's rewards are per episode step, and this one has fewer steps
         gained = (total * STEPS / config.world.episode_steps * scale)[:, None].expand(mask.shape)
         error = gained[mask] + 0.5 * after - value

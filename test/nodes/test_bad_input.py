@@ -16,10 +16,10 @@ import pytest
 from rclpy.exceptions import ParameterException
 from rclpy.publisher import Publisher
 from shepherd_ros.config import ConfigError
-from shepherd_ros.ros.runtime import rcl_mistake
+from shepherd_ros.ros.runtime import ros_args_error
 import torch
 
-USER_MISTAKE = 2
+EXIT_USAGE = 2
 
 # executable, words after --ros-args, what it has to say
 REFUSED = {
@@ -89,7 +89,7 @@ def refusal(shared_graph: Graph) -> Iterator[Callable[..., str]]:
             shared_graph.host(executable, *words)
         if isinstance(caught.value, ConfigError | ParameterException):
             return str(caught.value)
-        return rcl_mistake(caught.value) or repr(caught.value)
+        return ros_args_error(caught.value) or repr(caught.value)
 
     yield refused
     gc.collect()  # as a node that is half made keeps the logs of the next one of its name
@@ -97,7 +97,7 @@ def refusal(shared_graph: Graph) -> Iterator[Callable[..., str]]:
 
 def assert_refused(process: Process, pattern: str) -> None:
     """Assert that a process has ended as after a mistake of its user, and said why."""
-    assert process.wait() == USER_MISTAKE, process
+    assert process.wait() == EXIT_USAGE, process
     assert re.search(pattern, process.text), process
     assert process.text.startswith(f'{process.executable}: '), process
     assert 'Traceback' not in process.text

@@ -51,8 +51,10 @@ def until_heard(graph: Graph, recorder: Recorder, topic: str) -> None:
     """Look for topics until the recorder listens to one."""
 
     def listens() -> bool:
-        recorder.intake.look()
-        return topic in recorder.intake.inputs and bool(recorder.intake.inputs[topic].offers)
+        recorder.subscribed.look()
+        return topic in recorder.subscribed.inputs and bool(
+            recorder.subscribed.inputs[topic].offers
+        )
 
     graph.until(listens, f'a recorder of {topic}')
 
@@ -68,7 +70,7 @@ def until_received(graph: Graph, recorder: Recorder, count: int) -> None:
         receive(*row)
 
     def there() -> bool:
-        recorder.take(everything=True)
+        recorder.poll_messages(everything=True)
         return seen >= count
 
     recorder.receive = counting  # type: ignore[method-assign]
@@ -175,7 +177,7 @@ def test_events_of_services_are_recorded_on_request(graph: Graph, tmp_path: Path
         events: ('std_srvs/srv/SetBool_Event', 2)
     }
     decoder = Decoder(bag)
-    assert decoder.knows('std_srvs/srv/SetBool_Event')
+    assert decoder.can_decode('std_srvs/srv/SetBool_Event')
     first, last = (decoder.decode(message) for message in bag.messages())
     assert [bool(row.data) for row in first.request] == [True]
     assert [bool(row.success) for row in last.response] == [True]
@@ -183,7 +185,9 @@ def test_events_of_services_are_recorded_on_request(graph: Graph, tmp_path: Path
 
 def test_hidden_topics_and_services_are_asked_for_as_in_rosbag2() -> None:
     def chosen(**options: Any) -> list[str]:
-        wanted: Callable[[str], bool] = RecorderOptions(**options).wish(lambda name: f'/{name}')
+        wanted: Callable[[str], bool] = RecorderOptions(**options).topic_filter(
+            lambda name: f'/{name}'
+        )
         names = ('/a', '/_h', '/b/_h/c', '/s/_service_event', '/clock')
         return [name for name in names if wanted(name)]
 

@@ -590,7 +590,7 @@ def heard(numbers: list[int], publishers: int = 1) -> tuple[int, list[list[int]]
     there = {bytes([k]) for k in range(publishers)}
     losses = Losses(lambda topic: there)
     for number in numbers:
-        losses.heard('/a', number)
+        losses.count_message('/a', number)
     runs = [[run.first, run.last] for run in losses.topics['/a'].runs]
     return losses.by_topic().total(), runs
 
@@ -637,8 +637,8 @@ def test_a_loss_is_told_only_where_there_was_one(data: st.DataObject) -> None:
 def test_what_was_sent_before_the_first_one_heard_is_no_loss_but_told() -> None:
     losses = Losses(lambda topic: {b'one'})
     for number in (4, 5, 1, 2):
-        losses.heard('/a', number)
-    losses.heard('/b', 1)
+        losses.count_message('/a', number)
+    losses.count_message('/b', 1)
     assert (losses.by_topic(), losses.earlier()) == ({}, {'/a': 3})
 
 
@@ -658,7 +658,7 @@ def test_a_loss_that_only_repeats_what_is_there_leaves_a_bag_whole(
 ) -> None:
     losses = Losses(lambda topic: {b'one'})
     for number, stamp_ns in stamps:
-        losses.heard('/flock/poses', number, stamp_ns, dt_ns=10)
+        losses.count_message('/flock/poses', number, stamp_ns, dt_ns=10)
     assert losses.by_topic().total() == lost
     losses.dropped('/flock/poses', stamps[-1][0] - len(stamps))
     assert losses.by_topic().total() == lost  # DDS means the same ones
@@ -668,8 +668,8 @@ def test_a_loss_that_only_repeats_what_is_there_leaves_a_bag_whole(
 def test_losses_are_told_by_topic() -> None:
     losses = Losses(lambda topic: {b'one'})
     for number in (1, 2, 5, None):
-        losses.heard('/a', number)
-    losses.heard('/b', 1)
+        losses.count_message('/a', number)
+    losses.count_message('/b', 1)
     losses.dropped('/a', 1)
     losses.dropped('/c', 7)
     assert losses.by_topic() == {'/a': 2, '/c': 7}

@@ -12,7 +12,7 @@ from nodes.process import BEST_EFFORT, Graph, LATCHED, nanoseconds
 import pytest
 from sensor_msgs.msg import LaserScan
 from shepherd_ros.nodes.flock_pacing import Pacing
-from shepherd_ros.ros.node import UNNAMED
+from shepherd_ros.ros.node import UNKNOWN_NODE_NAME
 
 SMALL: dict[str, Any] = {'n_sheep': 5, 'n_shepherds': 1}
 
@@ -136,7 +136,9 @@ def test_a_publisher_that_has_no_name_yet_is_said_so(
     graph: Graph, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sim = graph.host('flock_sim', **SMALL)
-    unknown = SimpleNamespace(node_name=UNNAMED, node_namespace='_NODE_NAMESPACE_UNKNOWN_')
+    unknown = SimpleNamespace(
+        node_name=UNKNOWN_NODE_NAME, node_namespace='_NODE_NAMESPACE_UNKNOWN_'
+    )
     monkeypatch.setattr(sim, 'get_publishers_info_by_topic', lambda topic: [unknown])
     reason = sim.flock_commands._reason('shepherd_0/cmd_vel')
     assert reason == 'shepherd_0/cmd_vel (a node not yet named)'

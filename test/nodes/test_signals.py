@@ -143,7 +143,7 @@ def test_a_node_that_dds_does_not_let_go_is_left_with_its_exit_code() -> None:
         'class Stuck:\n'
         '    def destroy_node(self): time.sleep(60)\n'
         'runtime.DDS_SHUTDOWN_TIMEOUT = 0.1\n'
-        "runtime.leave([Stuck()], 'lidar', 3)\n"
+        "runtime.shut_down([Stuck()], 'lidar', 3)\n"
     )
     child = run_python(code)
     assert child.returncode == 3

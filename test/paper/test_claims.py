@@ -16,7 +16,7 @@ from pyarrow import parquet
 import pytest
 from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
-from shepherd_ros.experiments.bootstrap import drawn_again, mean_interval
+from shepherd_ros.experiments.bootstrap import mean_interval, resampled
 from shepherd_ros.experiments.catalog import EXPERIMENTS, QUICK_STEPS
 from shepherd_ros.experiments.results import (
     read_results,
@@ -27,7 +27,7 @@ from shepherd_ros.experiments.results import (
     write_rows,
 )
 from shepherd_ros.experiments.samples import Samples, samples_of
-from shepherd_ros.experiments.setting import env_config, Setting, settled
+from shepherd_ros.experiments.setting import canonical_setting, env_config, Setting
 from shepherd_ros.experiments.table import grid, grids, interval_text, markdown
 from shepherd_ros.experiments.value_map import value_map
 from shepherd_ros.paper import verdicts
@@ -67,7 +67,7 @@ POLICY = 'policy:imitation'
 def made_up(setting: Setting, controller: str, **values: Any) -> pa.Table:
     """Return rows of a cell, one for each of the values of a metric."""
     count = len(next(iter(values.values())))
-    constants = settled(setting).to_dict() | {
+    constants = canonical_setting(setting).to_dict() | {
         'key': f'{controller} {setting}', 'controller': controller,
         'config': json.dumps({'env': env_config(setting).to_dict()}),
         'checkpoint_sha256': '', 'version': '1', 'code': '',
@@ -189,7 +189,7 @@ def test_rows_of_the_same_world_count_whatever_its_setting_is_called() -> None:
     named, changed = Setting(preset='rho_a_one'), Setting(repulsion=1.0)
     assert env_config(named) == env_config(changed)
     rows = made_up(changed, 'pierson', completion_time=[5.0, 7.0])
-    text = json.dumps({'env': env_config(settled(changed)).to_dict()})
+    text = json.dumps({'env': env_config(canonical_setting(changed)).to_dict()})
     config = rows.schema.get_field_index('config')
     rows = rows.set_column(config, rows.schema.field(config), pa.array([text] * len(rows)))
     sweep = replace(EXPERIMENTS['starts'], settings=(named,))
@@ -202,7 +202,7 @@ def test_rows_of_the_same_world_count_whatever_its_setting_is_called() -> None:
 
 def test_of_a_sweep_only_controllers_of_which_all_is_there_are_drawn() -> None:
     sweep = EXPERIMENTS['starts']
-    first, *others = map(settled, sweep.settings)
+    first, *others = map(canonical_setting, sweep.settings)
 
     def rows(*tables: pa.Table) -> Results:
         return Results(pa.concat_tables(tables))
@@ -217,7 +217,7 @@ def test_of_a_sweep_only_controllers_of_which_all_is_there_are_drawn() -> None:
     assert found.seeds == (0, 1)
     assert samples_of(rows(alone), sweep, least=2, whole=True) is None
     short = [
-        made_up(replace(settled(s), steps=QUICK_STEPS), 'pierson', completion_time=[1.0])
+        made_up(replace(canonical_setting(s), steps=QUICK_STEPS), 'pierson', completion_time=[1.0])
         for s in sweep.quick
     ]
     quick = samples_of(rows(*short), sweep, whole=True)
@@ -244,7 +244,7 @@ def test_the_bootstrap_interval_of_zero_and_one_is_all_of_it() -> None:
 
 
 def test_the_same_episodes_are_drawn_every_time_and_one_alone_has_no_interval() -> None:
-    assert np.array_equal(drawn_again(7), drawn_again(7))
+    assert np.array_equal(resampled(7), resampled(7))
     mean, low, high = mean_interval(np.array([3.0]))
     assert mean == 3.0
     assert math.isnan(low)

@@ -16,7 +16,7 @@ from shepherd_ros.experiments.catalog import EXPERIMENTS
 from shepherd_ros.experiments.methods import label
 from shepherd_ros.experiments.results import value_names
 from shepherd_ros.experiments.samples import Samples
-from shepherd_ros.experiments.setting import settled
+from shepherd_ros.experiments.setting import canonical_setting
 from shepherd_ros.experiments.value_map import ValueMap
 from shepherd_ros.paper.curves import Curve
 from shepherd_ros.paper.drawing import save, spaced, style_of
@@ -32,7 +32,7 @@ def samples_in(name: str, episodes: int = 5) -> Samples:
     """Return made-up episodes of an experiment."""
     experiment = EXPERIMENTS[name]
     rng = np.random.default_rng(0)
-    settings = tuple(dict.fromkeys(map(settled, experiment.settings)))
+    settings = tuple(dict.fromkeys(map(canonical_setting, experiment.settings)))
     size = (len(settings), episodes)
     values = {(m, v): rng.uniform(0.2, 0.8, size) for m in METHODS for v in value_names()}
     return Samples(experiment, settings, tuple(range(episodes)), 1000, values)

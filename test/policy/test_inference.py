@@ -12,7 +12,7 @@ from shepherd_ros.policy import inference
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.lidar import LidarConfig, scan
-from shepherd_ros.sim.observation import first_ray, ObservationConfig, turned
+from shepherd_ros.sim.observation import first_ray, ObservationConfig, rotate_by_ray
 from shepherd_ros.sim.presets import world_preset
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
@@ -55,10 +55,12 @@ def test_without_goal_in_sight_or_aligned_with_the_world_the_first_ray_is_ray_0(
 
 def test_turned_by_hand() -> None:
     vector = torch.tensor([[1.0, 0.0], [1.0, 0.0], [0.0, 2.0], [3.0, 4.0]])
-    got = turned(vector, torch.tensor([0, 128, 256, 512]), 512)
+    got = rotate_by_ray(vector, torch.tensor([0, 128, 256, 512]), 512)
     expected = torch.tensor([[1.0, 0.0], [0.0, 1.0], [0.0, -2.0], [3.0, 4.0]])
     torch.testing.assert_close(got, expected, atol=1e-6, rtol=0)
-    torch.testing.assert_close(turned(got, torch.tensor([0, -128, -256, -512]), 512), vector)
+    torch.testing.assert_close(
+        rotate_by_ray(got, torch.tensor([0, -128, -256, -512]), 512), vector
+    )
 
 
 def test_with_the_goal_in_front_a_turned_world_gets_turned_actions() -> None:
@@ -68,7 +70,7 @@ def test_with_the_goal_in_front_a_turned_world_gets_turned_actions() -> None:
     for rays in (1, 37, 256, 511):
         got = policy.act(ranges.roll(rays, dims=-1))
         torch.testing.assert_close(
-            got, turned(action, torch.tensor([rays]), 512), atol=1e-5, rtol=0
+            got, rotate_by_ray(action, torch.tensor([rays]), 512), atol=1e-5, rtol=0
         )
 
 

@@ -124,7 +124,7 @@ def test_every_layout_and_spread_gives_finite_actions(layout: str, spread: str) 
     frames = torch.full((3, 3, 3, 512), torch.inf)
     frames[1:, ..., :40] = 5.0
     first = policy.first_ray(frames[:, -1])
-    mean, std = policy.actor(policy.arranged(policy.scaled(frames), first))
+    mean, std = policy.actor(policy.arrange(policy.scale(frames), first))
     assert mean.shape == std.shape == (3, 2)
     assert mean.abs().max() < 0.1  # nearly no motion before training
     assert torch.allclose(std, torch.full_like(std, 0.4), rtol=0.1)

@@ -218,12 +218,12 @@ def test_wrong_counts_are_found(tmp_path: Path) -> None:
     few = poses(DT_NS, np.zeros((3, 2)), np.ones((3, 2)))
     rows[place] = rows[place]._replace(data=few)
     (finding,) = check(tmp_path / 'bag', rows).findings
-    assert (finding.kind, finding.what) == ('count', '3 poses, expected 5')
+    assert (finding.kind, finding.message) == ('count', '3 poses, expected 5')
     place = next(i for i, m in enumerate(MESSAGES) if m.topic == '/shepherd_0/scan/goal')
     rows = list(MESSAGES)
     rows[place] = rows[place]._replace(data=scan_of(DT_NS, np.zeros(8)))
     (finding,) = check(tmp_path / 'rays', rows).findings
-    assert (finding.kind, finding.what) == ('count', 'channels of [8, 16] rays')
+    assert (finding.kind, finding.message) == ('count', 'channels of [8, 16] rays')
 
 
 def test_types_schemas_and_contract_have_to_be_ours(tmp_path: Path) -> None:

@@ -210,7 +210,7 @@ def test_log_times_count_only_if_asked(bag: Bag, tmp_path: Path) -> None:
     assert diff_bags(bag, other).equal
     (topic,) = (t for t in diff_bags(bag, other, times=True).topics if not t.equal)
     assert (topic.topic, topic.index) == ('/goal', 0)
-    assert topic.what.startswith('log times 1700000000')
+    assert topic.difference.startswith('log times 1700000000')
 
 
 def test_types_that_cannot_be_decoded_are_compared_by_bytes(tmp_path: Path) -> None:
@@ -225,7 +225,7 @@ def test_types_that_cannot_be_decoded_are_compared_by_bytes(tmp_path: Path) -> N
         bags.append(open_bag(tmp_path / f'{name}x'))
         assert folder.exists()
     (topic,) = diff_bags(*bags).topics
-    assert topic.what == 'bytes'
+    assert topic.difference == 'bytes'
 
 
 # ---- export ----

@@ -15,7 +15,7 @@ from shepherd_ros.controllers import make_controller
 from shepherd_ros.recordings.episodes import iter_episodes, RecordedEpisode
 from shepherd_ros.recordings.record import episode_folder, record_episodes
 from shepherd_ros.recordings.replay import exact_heading, states_of
-from shepherd_ros.recordings.replay_check import asked_frames, Comparison
+from shepherd_ros.recordings.replay_check import Comparison, frames_to_check
 from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.presets import world_preset
@@ -166,8 +166,8 @@ def test_in_real_time_only_states_that_were_answered_are_asked_about(tmp_path: P
     episode = whole(recorded(tmp_path, 'pierson'))
     frames = [replace(f, commands=[None, None]) if f.step % 3 else f for f in episode.frames]
     late = replace(episode, frames=frames, mode='realtime')
-    assert [frame.step for frame in asked_frames(late)] == [0, 3, 6, 9, 12]
-    assert asked_frames(replace(late, mode=episode.mode)) == frames
+    assert [frame.step for frame in frames_to_check(late)] == [0, 3, 6, 9, 12]
+    assert frames_to_check(replace(late, mode=episode.mode)) == frames
 
 
 @pytest.mark.parametrize('flock', ['strombom', 'reynolds'])

@@ -165,7 +165,7 @@ def ears(nodes: list[ShepherdNode]) -> list[tuple[str, Callable[[bytes], None]]]
         if isinstance(node, Recorder):
             found += [
                 (heard.kind, lambda raw, node=node, name=name: node.receive(name, raw, times))
-                for name, heard in node.intake.inputs.items()
+                for name, heard in node.subscribed.inputs.items()
             ]
         else:
             found += [(type_name(s.msg_type), s.callback) for s in node.subscriptions if s.raw]

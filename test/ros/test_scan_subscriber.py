@@ -87,5 +87,5 @@ def test_a_scan_of_another_kind_is_refused_by_name(change: dict[str, Any], said:
     assert got == []
     assert len(node.said) == 1
     assert node.said[0].startswith(f'shepherd_0/scan/goal: {said}')
-    assert listener.lacking() == ['shepherd_0/scan/goal']
+    assert listener.missing_scans() == ['shepherd_0/scan/goal']
     assert sum(listener.faults.values()) == 1

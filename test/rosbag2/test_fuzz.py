@@ -18,7 +18,7 @@ from rosbag2.tiny import recording, Sent, tiny_bag, write
 from shepherd_ros.recordings.check import check_bag
 from shepherd_ros.recordings.episodes import iter_episodes
 from shepherd_ros.recordings.info import bag_info
-from shepherd_ros.rosbag2.bag_files import write_whole
+from shepherd_ros.rosbag2.bag_files import write_atomically
 from shepherd_ros.rosbag2.diff import diff_bags
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.metadata import FileInfo, Metadata
@@ -55,7 +55,7 @@ def seeds(place: Path) -> Path:
         path = folder / name / f'{name}_0.mcap'
         mcap_of_others(path, MESSAGES, enable_crcs=False, **options)
         metadata = Metadata(files=(FileInfo(path.name),))
-        write_whole(folder / name / 'metadata.yaml', metadata.document())
+        write_atomically(folder / name / 'metadata.yaml', metadata.document())
     return folder
 
 

@@ -61,7 +61,7 @@ def test_without_metadata_yaml_the_files_are_found(bag: Path, tmp_path: Path) ->
     (copy / 'metadata.yaml').unlink()
     assert rows(copy) == SENT
     assert open_bag(copy).custom_data == open_bag(bag).custom_data
-    assert open_bag(copy).noted_count is None
+    assert open_bag(copy).metadata_count is None
 
 
 def test_ten_files_come_after_nine(tmp_path: Path) -> None:
@@ -172,7 +172,7 @@ def test_every_form_that_the_format_allows_opens(
             assert open_bag(path).count == count
             salvage = Salvage(path)
             assert [m.log_ns for m in salvage] == list(range(count)), (options, index)
-            assert salvage.unread == {'attachments': 1}
+            assert salvage.unsupported == {'attachments': 1}
 
 
 @pytest.mark.parametrize('version', [8, 9])

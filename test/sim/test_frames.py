@@ -51,7 +51,7 @@ def test_the_example_of_the_docstring() -> None:
     for t in range(6):
         window = frames.push(window, frame(float(t))) if t else window
         windows.append(''.join(f'{int(reading[0, 0])}' for reading in window))
-        assert frames.seen(window)[:, 0, 0].tolist() == rows[t]
+        assert frames.select(window)[:, 0, 0].tolist() == rows[t]
     assert '  '.join(windows) in str(module.__doc__)
 
 
@@ -70,4 +70,4 @@ def test_a_window_shows_the_rows_of_each_world_since_its_episode_began(
         rows = frames.rows(torch.full_like(first, t), first)
         for b in range(worlds):
             expected = readings[rows[b], b].transpose(0, 1)  # (H, K, 3, R)
-            assert torch.equal(frames.seen(window)[b], expected)
+            assert torch.equal(frames.select(window)[b], expected)

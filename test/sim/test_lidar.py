@@ -12,7 +12,7 @@ import pytest
 from reference import assert_near, batch, lidar, make_state, moved, padded, state_of, World
 from shepherd_ros.config import ConfigError
 from shepherd_ros.sim import compiled
-from shepherd_ros.sim.lidar import cast_rays, LidarConfig, scan, TOUCHING
+from shepherd_ros.sim.lidar import cast_rays, CONTACT_RANGE, LidarConfig, scan
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.sim.state import WorldState
 import torch
@@ -170,7 +170,7 @@ def test_a_disc_just_beyond_the_greatest_range_is_not_seen_and_one_just_within_i
 
 
 def test_a_body_that_overlaps_the_sensor_touches_on_every_ray() -> None:
-    assert TOUCHING == 0.01
+    assert CONTACT_RANGE == 0.01
     for center in ([0.0, 0.0], [0.3, -0.2], [0.0, 0.499]):
         assert_near(cast([center]), torch.full((16,), 0.01), 1e-9)
 
@@ -337,7 +337,7 @@ def test_range_noise_is_normal_with_its_standard_deviation_and_leaves_free_rays_
 
 def test_noisy_ranges_stay_between_touching_and_the_greatest_range() -> None:
     ranges = scan(surrounded(), LidarConfig(range_noise=20.0, range_max=31.0))[:, 0, GOAL]
-    assert ranges.min() == TOUCHING
+    assert ranges.min() == CONTACT_RANGE
     lost = ranges == NONE
     assert ranges[~lost].max() <= 31.0
     assert 0.44 < lost.double().mean() < 0.52  # beyond 31 m, 1/20 of a deviation: 48 %

@@ -14,7 +14,7 @@ from shepherd_ros.sim.lidar import LidarConfig, scan
 from shepherd_ros.sim.metrics import count_step, metrics, start_tally
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.reward import reward_terms
-from shepherd_ros.sim.rollout import advance, arrive, EnvConfig, Moment, restart, start
+from shepherd_ros.sim.rollout import advance, advance_to, EnvConfig, Moment, restart, start
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.transition import step
 from shepherd_ros.sim.world import WorldConfig
@@ -90,7 +90,7 @@ def test_a_goal_is_moved_before_the_moment_is_counted() -> None:
     after = replace(after, goal=goal.expand(3, 2))
     moved = advance(moment, COMMAND, goal)
     assert_same_world(moved.state, after)
-    same_numbers(moved.metrics(), arrive(moment, after).metrics())
+    same_numbers(moved.metrics(), advance_to(moment, after).metrics())
 
 
 def test_a_restarted_world_begins_and_the_others_go_on() -> None:

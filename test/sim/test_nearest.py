@@ -4,11 +4,11 @@ from itertools import product
 
 import numpy as np
 from shepherd_ros.sim.neighbors_compiled import (
-    bound_of,
     break_tie,
-    choose_below,
-    squares,
-    squares_of,
+    kth_bound,
+    select_below,
+    squared_distances,
+    squared_distances_of,
 )
 
 
@@ -39,7 +39,7 @@ def test_the_nearest_are_the_first_of_a_sort() -> None:
             count, finite = len(squared), int(np.isfinite(squared).sum())
             keep = int(draw.integers(1, finite + 1))
             who = np.arange(count) + 10
-            bound = bound_of(keep, count, squared, np.float32(guess), np.empty(count, np.float32))
+            bound = kth_bound(keep, count, squared, np.float32(guess), np.empty(count, np.float32))
             wanted = np.lexsort([-who, squared])[:keep]  # at a tie the later one is nearer
             break_tie(keep, count, squared, bound, who)
             assert np.flatnonzero(squared < bound).tolist() == sorted(wanted)
@@ -47,7 +47,7 @@ def test_the_nearest_are_the_first_of_a_sort() -> None:
 
 def test_of_fewer_than_are_asked_for_all_are_nearest() -> None:
     squared = np.array([np.nan, 4, np.inf, 1, np.nan], np.float32)
-    bound = bound_of(3, 5, squared, np.float32(2), np.empty(5, np.float32))
+    bound = kth_bound(3, 5, squared, np.float32(2), np.empty(5, np.float32))
     break_tie(3, 5, squared, bound, np.arange(5))
     assert np.flatnonzero(squared < bound).tolist() == [1, 3]
 
@@ -56,10 +56,10 @@ def test_distances_and_who_is_below_a_bound_by_hand() -> None:
     xs = np.array([0, 3, 0, 6], np.float32)
     ys = np.array([0, 4, 1, 8], np.float32)
     squared, chosen = np.empty(4, np.float32), np.empty(4, np.int64)
-    squares(0, xs, ys, np.array([True, True, False, True]), squared)
+    squared_distances(0, xs, ys, np.array([True, True, False, True]), squared)
     assert squared.tolist() == [np.inf, 25, np.inf, 100]
     who = np.array([3, 2, 0])
-    squares_of(0, xs, ys, who, 3, squared)
+    squared_distances_of(0, xs, ys, who, 3, squared)
     assert squared[:3].tolist() == [100, 1, np.inf]
-    assert choose_below(np.float32(100), 3, squared, who, chosen) == 1  # a bound is below none
+    assert select_below(np.float32(100), 3, squared, who, chosen) == 1  # a bound is below none
     assert chosen[0] == 2

@@ -85,10 +85,10 @@ def test_a_start_at_home_has_the_flock_in_the_goal_and_shepherds_on_all_sides() 
 
 def test_a_flock_in_groups_has_a_center_for_each_and_the_first_is_that_of_a_whole_one() -> None:
     whole = starts(WorldConfig(n_sheep=6, spawn=TIGHT))
-    parted = starts(WorldConfig(n_sheep=6, spawn=replace(TIGHT, flock_groups=2)))
-    assert torch.equal(parted.sheep[:, ::2], whole.sheep[:, ::2])
-    assert torch.equal(parted.shepherds, whole.shepherds)
-    other = parted.sheep[:, 1::2]
+    split_name = starts(WorldConfig(n_sheep=6, spawn=replace(TIGHT, flock_groups=2)))
+    assert torch.equal(split_name.sheep[:, ::2], whole.sheep[:, ::2])
+    assert torch.equal(split_name.shepherds, whole.shepherds)
+    other = split_name.sheep[:, 1::2]
     assert torch.equal(other, other[:, :1].expand_as(other))
     distance = other[:, 0].norm(dim=-1)
     assert 10.0 - 1e-9 <= distance.min() <= distance.max() <= 20.0

@@ -17,7 +17,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import LaserScan
 from shepherd_ros.ros.node import nanoseconds, stamp
-from shepherd_ros.sim.lidar import TOUCHING
+from shepherd_ros.sim.lidar import CONTACT_RANGE
 from shepherd_ros.sim.vectors import from_bearing
 from shepherd_ros.wire import decode, encode
 from shepherd_ros.wire.decode import decode_stamp, decode_twist, decode_twist_stamped
@@ -163,14 +163,14 @@ def test_nan_and_infinite_positions_are_carried_for_the_reader_to_refuse() -> No
 
 @pytest.mark.parametrize('n_rays', [4, 7, 512])
 def test_a_scan_follows_rep_117_and_its_angles_are_those_of_the_rays(n_rays: int) -> None:
-    ranges = torch.linspace(TOUCHING, 75.0, n_rays)
+    ranges = torch.linspace(CONTACT_RANGE, 75.0, n_rays)
     ranges[1], ranges[2] = math.inf, 10.0
     message = read_back(encode_scan(NS, 'shepherd_0', ranges.numpy(), 75.0, 0.5), LaserScan)
     read = np.frombuffer(message.ranges, np.float32)
     assert np.array_equal(read, ranges.numpy())  # exactly, +inf kept: no return
     assert nanoseconds(message.header.stamp) == NS
     assert message.header.frame_id == 'shepherd_0'
-    assert message.range_min <= TOUCHING
+    assert message.range_min <= CONTACT_RANGE
     assert message.range_max == 75.0
     assert math.isclose(message.scan_time, 0.5)
     assert message.time_increment == 0.0  # all rays at once

@@ -29,12 +29,12 @@ class FlockConfig(Config):
 
     @property
     def arc_range(self) -> float:
-        """Return the range of which Pierson's widest arc is a part [m]."""
+        """Return the range that scales Pierson's widest arc [m]."""
         return self.notice_range
 
     @property
     def repulsion_range(self) -> float:
-        """Return the range of repulsion between sheep, r of Strömbom's places [m]; 1 if none."""
+        """Return the range of repulsion between sheep [m]; 1 if there is none."""
         return 1.0
 
 

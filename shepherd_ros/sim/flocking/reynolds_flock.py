@@ -64,14 +64,14 @@ class ReynoldsFlock(FlockConfig):
 
 
 def soft_unit(term: Tensor) -> Tensor:
-    """Return (..., 2) made one long; a tiny one stays short, so that rounding has no say."""
+    """Return unit vectors (..., 2); terms below SOFT_LENGTH count in proportion."""
     return term / torch.linalg.vector_norm(term, dim=-1, keepdim=True).clamp(min=SOFT_LENGTH)
 
 
 def reynolds_flock_step(
     state: WorldState, config: ReynoldsFlock, dt: float
 ) -> tuple[Tensor, Tensor]:
-    """Return sheep and heading after dt; every sheep moves exactly speed * dt."""
+    """Return sheep [m] and heading after dt, (..., N, 2) each; each sheep moves speed * dt."""
     if compilable(state.sheep, state.shepherds):
         return reynolds_step(state, config, dt)
     heading = steered(state.sheep, state, config, dt)
@@ -80,27 +80,27 @@ def reynolds_flock_step(
 
 @fused
 def steered(sheep: Tensor, state: WorldState, config: ReynoldsFlock, dt: float) -> Tensor:
-    """Return the headings (..., N, 2) that the forces on sheep (..., N, 2) m lead to within dt."""
+    """Return the headings (..., N, 2) of sheep (..., N, 2) m after dt of the flock's forces."""
     velocity = state.heading * config.speed
     x, y = offsets(sheep, sheep)
     squared = x * x + y * y
-    alone = torch.eye(sheep.shape[-2], dtype=torch.bool, device=sheep.device)
-    seen = (squared < config.view_range**2) & state.sheep_mask[..., None, :] & ~alone
-    weight = seen.to(sheep.dtype)
+    itself = torch.eye(sheep.shape[-2], dtype=torch.bool, device=sheep.device)
+    visible = (squared < config.view_range**2) & state.sheep_mask[..., None, :] & ~itself
+    weight = visible.to(sheep.dtype)
     count = weight.sum(dim=-1, keepdim=True)
 
     def repulsion(x: Tensor, y: Tensor, squared: Tensor, near: Tensor) -> Tensor:
         inverse = near / squared.clamp(min=config.min_distance**2)
         return torch.stack([(x * inverse).sum(dim=-1), (y * inverse).sum(dim=-1)], dim=-1)
 
-    def mean_of_seen(x: Tensor, y: Tensor) -> Tensor:
+    def mean_visible(x: Tensor, y: Tensor) -> Tensor:
         total = torch.stack([(weight * x).sum(dim=-1), (weight * y).sum(dim=-1)], dim=-1)
         return total / count.clamp(min=1)
 
-    separation = repulsion(x, y, squared, seen)
-    cohesion = -mean_of_seen(x, y)  # of offsets, which are exact where sheep are close
-    ahead = mean_of_seen(*state.heading[..., None, :, :].unbind(dim=-1))
-    alignment = torch.where(count > 0, ahead - state.heading, 0.0) * config.speed
+    separation = repulsion(x, y, squared, visible)
+    cohesion = -mean_visible(x, y)  # of offsets, which are exact where sheep are close
+    mean_heading = mean_visible(*state.heading[..., None, :, :].unbind(dim=-1))
+    alignment = torch.where(count > 0, mean_heading - state.heading, 0.0) * config.speed
 
     x, y = offsets(sheep, state.shepherds)
     squared = x * x + y * y
@@ -108,7 +108,7 @@ def steered(sheep: Tensor, state: WorldState, config: ReynoldsFlock, dt: float) 
     fear = repulsion(x, y, squared, noticed)
     if config.terms == 'unit':
         separation, cohesion, fear = soft_unit(separation), soft_unit(cohesion), soft_unit(fear)
-        alignment = soft_unit(ahead) - soft_unit(state.heading) * (count > 0)
+        alignment = soft_unit(mean_heading) - soft_unit(state.heading) * (count > 0)
     acceleration = (
         config.separation * separation
         + config.alignment * alignment

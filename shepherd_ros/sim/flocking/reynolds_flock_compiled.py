@@ -7,8 +7,18 @@ from typing import Any
 
 import numpy as np
 from shepherd_ros.sim.compiled import compiled, flat_array
-from shepherd_ros.sim.neighbor_grid import build, leaves_out, nothing, within
-from shepherd_ros.sim.neighbors_compiled import choose_below, in_reach, squares, squares_of
+from shepherd_ros.sim.neighbor_grid import (
+    build_grid,
+    candidates_within,
+    empty_grid,
+    reduces_candidates,
+)
+from shepherd_ros.sim.neighbors_compiled import (
+    in_reach,
+    select_below,
+    squared_distances,
+    squared_distances_of,
+)
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import EPSILON
 from shepherd_ros.sim.vectors_compiled import length, unit_xy
@@ -17,8 +27,8 @@ from torch import Tensor
 
 _EPSILON = np.float32(EPSILON)
 _ZERO, _ONE = np.float32(0), np.float32(1)
-_LARGE = 600  # flocks from this size on are put on a grid, if that leaves many out
-_TINY = np.float32(0.01)  # of a term: sim.flocking.reynolds_flock.TINY
+_GRID_MIN_SHEEP = 600  # flocks from this size on use a grid, if it leaves out many sheep
+_SOFT_LENGTH = np.float32(0.01)  # that of sim.flocking.reynolds_flock
 
 
 @compiled
@@ -53,8 +63,8 @@ def _flockmates(x, y, sheep, heading, chosen, count, nearest):
 
 @compiled
 def _direction(x, y):
-    """Return a term made one long; a tiny one stays short."""
-    size = max(length(x, y), _TINY)
+    """Return a term as a unit vector; below _SOFT_LENGTH in proportion."""
+    size = max(length(x, y), _SOFT_LENGTH)
     return x / size, y / size
 
 
@@ -67,11 +77,11 @@ def _difference(x, y, from_x, from_y):
 
 
 @compiled
-def _limited(x, y, limit):
-    """Return a vector made at most so long."""
+def _limited(x, y, max_norm):
+    """Return a vector cut to max_norm, its direction kept."""
     size = length(x, y)
-    if size > limit:
-        scale = limit / max(size, _EPSILON)
+    if size > max_norm:
+        scale = max_norm / max(size, _EPSILON)
         x, y = x * scale, y * scale
     return x, y
 
@@ -83,22 +93,22 @@ def _reynolds(
 ):  # fmt: skip
     n = sheep.shape[1]
     xs, ys, squared = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
-    chosen, some, who = np.empty(n, np.int64), np.empty(n, np.int64), np.arange(n)
+    chosen, candidates, indices = np.empty(n, np.int64), np.empty(n, np.int64), np.arange(n)
     noticed = np.empty(shepherds.shape[1], np.int64)
     for b in range(sheep.shape[0]):
         for j in range(n):
             xs[j], ys[j] = sheep[b, j, 0], sheep[b, j, 1]
-        grid = build(sheep[b], mask[b]) if n >= _LARGE else nothing()
-        large = leaves_out(view, grid)
+        grid = build_grid(sheep[b], mask[b]) if n >= _GRID_MIN_SHEEP else empty_grid()
+        large = reduces_candidates(view, grid)
         for i in range(n):
             x, y = xs[i], ys[i]
             if large:
-                found = within(i, view, grid, some)
-                squares_of(i, xs, ys, some, found, squared)
-                count = choose_below(view * view, found, squared, some, chosen)
+                n_candidates = candidates_within(i, view, grid, candidates)
+                squared_distances_of(i, xs, ys, candidates, n_candidates, squared)
+                count = select_below(view * view, n_candidates, squared, candidates, chosen)
             else:
-                squares(i, xs, ys, mask[b], squared)
-                count = choose_below(view * view, n, squared, who, chosen)
+                squared_distances(i, xs, ys, mask[b], squared)
+                count = select_below(view * view, n, squared, indices, chosen)
             u, v = heading[b, i, 0] * speed, heading[b, i, 1] * speed
             force_x, force_y = _ZERO, _ZERO
             if count > 0:
@@ -116,17 +126,17 @@ def _reynolds(
                     )
                 force_x = w_s * apart_x + w_v * along_x + w_c * to_x
                 force_y = w_s * apart_y + w_v * along_y + w_c * to_y
-            met = in_reach(x, y, shepherds[b], shepherd_mask[b], view, noticed)
-            away_x, away_y = _fear(x, y, shepherds[b], noticed, met, nearest)
+            n_noticed = in_reach(x, y, shepherds[b], shepherd_mask[b], view, noticed)
+            away_x, away_y = _fear(x, y, shepherds[b], noticed, n_noticed, nearest)
             if directions:
                 away_x, away_y = _direction(away_x, away_y)
             force_x, force_y = _limited(force_x + w_f * away_x, force_y + w_f * away_y, limit)
-            way_x, way_y = unit_xy(u + force_x * dt, v + force_y * dt)
-            if way_x == 0 and way_y == 0:
-                way_x, way_y = heading[b, i, 0], heading[b, i, 1]
-            new_heading[b, i, 0], new_heading[b, i, 1] = way_x, way_y
-            new_sheep[b, i, 0] = x + speed * dt * way_x
-            new_sheep[b, i, 1] = y + speed * dt * way_y
+            turned_x, turned_y = unit_xy(u + force_x * dt, v + force_y * dt)
+            if turned_x == 0 and turned_y == 0:
+                turned_x, turned_y = heading[b, i, 0], heading[b, i, 1]
+            new_heading[b, i, 0], new_heading[b, i, 1] = turned_x, turned_y
+            new_sheep[b, i, 0] = x + speed * dt * turned_x
+            new_sheep[b, i, 1] = y + speed * dt * turned_y
 
 
 def reynolds_step(state: WorldState, config: Any, dt: float) -> tuple[Tensor, Tensor]:

@@ -108,9 +108,9 @@ def forces(
     sheep: Tensor, mask: Tensor, shepherds: Tensor, shepherd_mask: Tensor, config: StrombomFlock
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """
-    Return what acts on each sheep before any weight.
+    Return the forces on each sheep before their weights.
 
-    The sum of unit pushes by near sheep (..., N, 2), the way to the local center (..., N, 2) m,
+    The sum of unit pushes by near sheep (..., N, 2), the offset to the local center (..., N, 2) m,
     the sum of unit pushes by shepherds (..., N, 2), and whether any is noticed (..., N) bool.
     """
     x, y = offsets(sheep, sheep)
@@ -129,10 +129,10 @@ def strombom_flock_step(
     state: WorldState, config: StrombomFlock, dt: float
 ) -> tuple[Tensor, Tensor]:
     """
-    Return sheep and heading after dt; every reacting sheep moves exactly speed * dt.
+    Return sheep [m] and heading after dt, (..., N, 2) each; a reacting sheep moves speed * dt.
 
-    Equations 4.1 to 4.3: each term is a unit vector before it is weighted, and the sum is made
-    one. Only the pushes of several shepherds are added as they are.
+    Equations 4.1 to 4.3: each term is a unit vector before it is weighted, and so is the sum.
+    Only the pushes of several shepherds are added as they are.
     """
     if compilable(state.sheep, state.shepherds):
         return strombom_step(state, config, dt)

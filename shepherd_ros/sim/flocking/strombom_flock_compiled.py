@@ -8,14 +8,20 @@ from typing import Any
 
 import numpy as np
 from shepherd_ros.sim.compiled import compiled, flat_array
-from shepherd_ros.sim.neighbor_grid import around, build, leaves_out, nothing, within
+from shepherd_ros.sim.neighbor_grid import (
+    build_grid,
+    candidates_within,
+    empty_grid,
+    nearest_candidates,
+    reduces_candidates,
+)
 from shepherd_ros.sim.neighbors_compiled import (
-    bound_of,
     break_tie,
-    choose_below,
     in_reach,
-    squares,
-    squares_of,
+    kth_bound,
+    select_below,
+    squared_distances,
+    squared_distances_of,
 )
 from shepherd_ros.sim.rng import Stream
 from shepherd_ros.sim.rng_compiled import direction_at, stream_key, uniform_at
@@ -28,7 +34,7 @@ from torch import Tensor
 _TURN, _GRAZE = int(Stream.TURN), int(Stream.GRAZE)
 _EPSILON = np.float32(EPSILON)
 _ZERO, _ONE = np.float32(0), np.float32(1)
-_LARGE = 850  # flocks from this size on are put on a grid, if that leaves many out
+_GRID_MIN_SHEEP = 850  # flocks from this size on use a grid, if it leaves out many sheep
 
 
 @compiled
@@ -65,9 +71,9 @@ def _sum_within(bound, count, squared, xs, ys, part_x, part_y):
 
 
 @compiled
-def _relative(sheep, mask, xs, ys, near_x, near_y, who, who_x, who_y):
+def _relative(sheep, mask, xs, ys, near_x, near_y, pool, px, py):
     """
-    Write places (N,) m, also relative to one sheep; return how many others a sheep has, and sums.
+    Write places (N,) m, also relative to one sheep; return the number of others, and sums.
 
     Means of far places would be rounded by more than sheep differ.
     """
@@ -75,7 +81,7 @@ def _relative(sheep, mask, xs, ys, near_x, near_y, who, who_x, who_y):
     for j in range(sheep.shape[0]):
         xs[j], ys[j] = sheep[j, 0], sheep[j, 1]
         near_x[j], near_y[j] = xs[j] - xs[0], ys[j] - ys[0]
-        who[j], who_x[j], who_y[j] = j, near_x[j], near_y[j]  # unless there is a grid
+        pool[j], px[j], py[j] = j, near_x[j], near_y[j]  # unless there is a grid
         if mask[j]:
             others += 1
             sum_x += near_x[j]
@@ -84,12 +90,12 @@ def _relative(sheep, mask, xs, ys, near_x, near_y, who, who_x, who_y):
 
 
 @compiled
-def _around(i, keep, xs, ys, grid, who, squared, who_x, who_y):
-    """Write the places of around() into who_x, who_y (N,) m, as _relative(); return how many."""
-    found = around(i, xs, ys, keep, grid, who, squared)
-    for k in range(found):
-        who_x[k], who_y[k] = xs[who[k]] - xs[0], ys[who[k]] - ys[0]
-    return found
+def _around(i, keep, xs, ys, grid, pool, squared, px, py):
+    """Write nearest_candidates() and their places (N,) m, as _relative(); return their number."""
+    pool_size = nearest_candidates(i, xs, ys, keep, grid, pool, squared)
+    for k in range(pool_size):
+        px[k], py[k] = xs[pool[k]] - xs[0], ys[pool[k]] - ys[0]
+    return pool_size
 
 
 @compiled
@@ -111,7 +117,7 @@ def _cohesion(sum_x, sum_y, count, x, y, metric):
 
 @compiled
 def _turned(
-    way_x, way_y, to_x, to_y, apart_x, apart_y, away_x, away_y, turn, i, rho_a, c, rho_s, h, e,
+    last_x, last_y, to_x, to_y, apart_x, apart_y, away_x, away_y, turn, i, rho_a, c, rho_s, h, e,
     normalize,
 ):  # fmt: skip
     """Return the heading after the terms of the flock, the one before where they cancel."""
@@ -120,12 +126,12 @@ def _turned(
     if normalize:
         away_x, away_y = unit_xy(away_x, away_y)
     new_x, new_y = unit_xy(
-        h * way_x + c * to_x + rho_a * apart_x + rho_s * away_x + e * random_x,
-        h * way_y + c * to_y + rho_a * apart_y + rho_s * away_y + e * random_y,
+        h * last_x + c * to_x + rho_a * apart_x + rho_s * away_x + e * random_x,
+        h * last_y + c * to_y + rho_a * apart_y + rho_s * away_y + e * random_y,
     )
     if new_x != 0 or new_y != 0:
         return new_x, new_y
-    return way_x, way_y
+    return last_x, last_y
 
 
 @compiled
@@ -143,50 +149,50 @@ def _strombom(
     sheep_range, rho_a, c, rho_s, h, e, p, stride, normalize, metric, new_sheep, new_heading,
 ):  # fmt: skip
     n = sheep.shape[1]
-    xs, ys, near_x, near_y, squared, values, who_x, who_y, part_x, part_y = _floats(n)
-    chosen, who = np.empty(n, np.int64), np.empty(n, np.int64)
+    xs, ys, near_x, near_y, squared, values, px, py, part_x, part_y = _floats(n)
+    chosen, pool = np.empty(n, np.int64), np.empty(n, np.int64)
     noticed, reach = np.empty(shepherds.shape[1], np.int64), sheep_range * sheep_range
     for b in range(sheep.shape[0]):
         turn, graze = stream_key(seed[b], step[b], _TURN), stream_key(seed[b], step[b], _GRAZE)
-        here, team = mask[b], shepherd_mask[b]
-        others, sum_x, sum_y = _relative(sheep[b], here, xs, ys, near_x, near_y, who, who_x, who_y)
-        count, found, beyond = min(others, n_neighbors), n, _ONE
-        grid = build(sheep[b], mask[b]) if n >= _LARGE else nothing()
-        large = leaves_out(sheep_range, grid)
+        real, team = mask[b], shepherd_mask[b]
+        others, sum_x, sum_y = _relative(sheep[b], real, xs, ys, near_x, near_y, pool, px, py)
+        count, size, beyond = min(others, n_neighbors), n, _ONE
+        grid = build_grid(sheep[b], mask[b]) if n >= _GRID_MIN_SHEEP else empty_grid()
+        large = reduces_candidates(sheep_range, grid)
         for i in range(n):
-            x, y, way_x, way_y = xs[i], ys[i], heading[b, i, 0], heading[b, i, 1]
-            met = in_reach(x, y, shepherds[b], team, shepherd_range, noticed)
-            moving = met > 0 or uniform_at(graze, i) < p
-            if met > 0:
-                away_x, away_y = _push(x, y, shepherds[b], noticed, met)
+            x, y, heading_x, heading_y = xs[i], ys[i], heading[b, i, 0], heading[b, i, 1]
+            n_near = in_reach(x, y, shepherds[b], team, shepherd_range, noticed)
+            moving = n_near > 0 or uniform_at(graze, i) < p
+            if n_near > 0:
+                away_x, away_y = _push(x, y, shepherds[b], noticed, n_near)
                 if large:
-                    found = within(i, sheep_range, grid, who)
-                    squares_of(i, xs, ys, who, found, squared)
+                    size = candidates_within(i, sheep_range, grid, pool)
+                    squared_distances_of(i, xs, ys, pool, size, squared)
                 else:
-                    squares(i, xs, ys, here, squared)
-                met = choose_below(reach, found, squared, who, chosen)
-                apart_x, apart_y = _push(x, y, sheep[b], chosen, met)
+                    squared_distances(i, xs, ys, real, squared)
+                n_near = select_below(reach, size, squared, pool, chosen)
+                apart_x, apart_y = _push(x, y, sheep[b], chosen, n_near)
                 to_x, to_y = sum_x - near_x[i], sum_y - near_y[i]
                 if 0 < count < others:
                     # the farthest of them are about as far beyond the middle for all sheep
-                    off = _from_middle(near_x[i], near_y[i], sum_x, sum_y, others + 1)
-                    guess = (off + beyond) * (off + beyond)
+                    offset = _from_middle(near_x[i], near_y[i], sum_x, sum_y, others + 1)
+                    guess = (offset + beyond) * (offset + beyond)
                     if large:
-                        found = _around(i, count, xs, ys, grid, who, squared, who_x, who_y)
-                    bound = bound_of(count, found, squared, guess, values)
-                    break_tie(count, found, squared, bound, who)
-                    to_x, to_y = _sum_within(bound, found, squared, who_x, who_y, part_x, part_y)
-                    beyond = np.float32(math.sqrt(bound)) - off
+                        size = _around(i, count, xs, ys, grid, pool, squared, px, py)
+                    bound = kth_bound(count, size, squared, guess, values)
+                    break_tie(count, size, squared, bound, pool)
+                    to_x, to_y = _sum_within(bound, size, squared, px, py, part_x, part_y)
+                    beyond = np.float32(math.sqrt(bound)) - offset
                 to_x, to_y = _cohesion(to_x, to_y, count, near_x[i], near_y[i], metric)
-                way_x, way_y = _turned(
-                    way_x, way_y, to_x, to_y, apart_x, apart_y, away_x, away_y, turn, i, rho_a, c,
-                    rho_s, h, e, normalize,
+                heading_x, heading_y = _turned(
+                    heading_x, heading_y, to_x, to_y, apart_x, apart_y, away_x, away_y, turn, i,
+                    rho_a, c, rho_s, h, e, normalize,
                 )  # fmt: skip
             elif moving:
-                way_x, way_y = direction_at(turn, i)
-            new_heading[b, i, 0], new_heading[b, i, 1] = way_x, way_y
+                heading_x, heading_y = direction_at(turn, i)
+            new_heading[b, i, 0], new_heading[b, i, 1] = heading_x, heading_y
             if moving:
-                x, y = x + stride * way_x, y + stride * way_y
+                x, y = x + stride * heading_x, y + stride * heading_y
             new_sheep[b, i, 0], new_sheep[b, i, 1] = x, y
 
 
