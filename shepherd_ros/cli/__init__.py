@@ -34,8 +34,7 @@ def run_node(words: list[str]) -> int:
     from shepherd_ros.config import unknown_name
     from shepherd_ros.nodes import executables
 
-    known = executables.names()
-    if words[0] not in known:
+    if words[0] not in executables.FILES and words[0] not in (known := executables.names()):
         raise unknown_name('node', words[0], known)
     sys.argv = words
     return int(getattr(executables, words[0])())
