@@ -8,7 +8,6 @@ from typing import Any
 
 from shepherd_ros.bringup import Process
 from shepherd_ros.controllers import CONTROLLERS
-from shepherd_ros.nodes.console_node import ConsoleNode
 from shepherd_ros.nodes.flock_node import FlockSim
 from shepherd_ros.nodes.heuristic_node import HeuristicNode
 from shepherd_ros.nodes.lidar_node import LidarNode
@@ -18,12 +17,20 @@ from shepherd_ros.nodes.policy_node import PolicyNode
 from shepherd_ros.ros.intra_process import IntraProcessTransport
 from shepherd_ros.ros.node import ShepherdNode
 
+
+def console(**kwargs: Any) -> ShepherdNode:
+    """Return the console, whose server (tornado) the other nodes do not need."""
+    from shepherd_ros.nodes.console_node import ConsoleNode
+
+    return ConsoleNode(**kwargs)
+
+
 NODES: dict[str, Callable[..., ShepherdNode]] = {
     'flock_sim': FlockSim,
     'lidar': LidarNode,
     'metrics': MetricsNode,
     'mux': MuxNode,
-    'console': ConsoleNode,
+    'console': console,
     **{kind.executable: partial(HeuristicNode, name) for name, kind in CONTROLLERS.items()},
     'controller': HeuristicNode,
     'policy': PolicyNode,
