@@ -88,7 +88,7 @@ def dataset() -> str:
     intro = f"""
 `shepherd dataset build` writes the folders and columns of LeRobot 3.0, format
 `{lerobot_format.DATASET_FORMAT}`. A row is a step of one shepherd. A LeRobot episode is a run of
-one shepherd's steps without a hole.
+one shepherd's steps, by one driver and without a hole.
 
 | file | content |
 | --- | --- |

@@ -25,6 +25,8 @@ class _Common:
     """Bags, folders of bags, or data sets that were built."""
     labels: str = ''
     """Namespace of the commands to learn, such as teacher; empty: those that were driven."""
+    drivers: str = ''
+    """Sources of mux whose steps are examples, such as keys or keys,joy; empty: all."""
     n_frames: int = 3
     """Frames that are seen together, for counting examples."""
     spacing: int = 4
@@ -47,9 +49,11 @@ class _Info(_Common):
 
     def run(self) -> int:
         """Print it."""
-        from shepherd_ros.datasets.examples import count_examples
+        from shepherd_ros.datasets.examples import count_examples, driver_names
 
-        report = count_examples(self.places, self.frames(), self.labels)
+        report = count_examples(
+            self.places, self.frames(), self.labels, driver_names(self.drivers)
+        )
         print(json.dumps(report.to_dict(), indent=1) if self.json else report.text())
         return 0
 
@@ -63,9 +67,10 @@ class _Build(_Common):
 
     def run(self) -> int:
         """Write it and print what was found."""
-        from shepherd_ros.datasets.examples import build_dataset
+        from shepherd_ros.datasets.examples import build_dataset, driver_names
 
-        report = build_dataset(self.places, self.out, self.frames(), self.labels)
+        drivers = driver_names(self.drivers)
+        report = build_dataset(self.places, self.out, self.frames(), self.labels, drivers)
         print(json.dumps(report.to_dict(), indent=1) if self.json else report.text())
         if not self.json:
             print(f'\nwrote {self.out}')

@@ -29,6 +29,7 @@ class Report:
     sheep: Counter[int] = field(default_factory=Counter)  # flock -> episodes
     shepherds: Counter[int] = field(default_factory=Counter)  # team -> episodes
     speed: RunningStats = field(default_factory=lambda: RunningStats(1))  # m/s, of whole steps
+    drivers: Counter[str] = field(default_factory=Counter)  # source of mux -> whole steps
     channels: tuple[str, ...] = PAPER_CHANNELS
     returns: RunningStats = field(
         default_factory=lambda: RunningStats(len(PAPER_CHANNELS))
@@ -51,6 +52,7 @@ class Report:
         self.steps += len(steps)
         self.sheep[steps.n_sheep] += 1
         self.shepherds[steps.n_shepherds] += 1
+        self.drivers.update(str(name) for name in steps.driver)
         self.speed.add(np.linalg.norm(steps.action.astype(np.float64), axis=1)[:, None])
         if steps.channels != self.channels:
             if self.returns.count.any():
@@ -76,6 +78,7 @@ class Report:
                 channel: {name: values[k] for name, values in shares.items()}
                 for k, channel in enumerate(self.channels)
             },
+            **({'steps_by_driver': dict(sorted(self.drivers.items()))} if self.drivers else {}),
             'episodes_by_shepherds': dict(sorted(self.shepherds.items())),
             'episodes_by_sheep': dict(sorted(self.sheep.items())),
         }
@@ -90,6 +93,8 @@ class Report:
             lines.append(
                 f'dropped:   {row["steps"]} steps, {row["reason"]}; first: {row["first"]}'
             )
+        for name, count in sorted(self.drivers.items()):
+            lines.append(f'driven:    {count} steps by {name or "none: zero"}')
         columns = ('mean', 'std', 'min', 'max')
         lines += ['', ' ' * 24 + ''.join(f'{name:>8}' for name in columns)]
         rows = [('speed [m/s]', data['speed'])]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -57,12 +57,20 @@ def bag_folders(place: Path) -> list[Path]:
     return bags
 
 
-def sources(places: Sequence[Path], labels: str = '') -> list[Source]:
+def driver_names(text: str) -> frozenset[str]:
+    """Return the sources of mux in a text such as keys, or keys,joy."""
+    return frozenset(text.replace(',', ' ').split())
+
+
+def sources(
+    places: Sequence[Path], labels: str = '', drivers: Collection[str] = ()
+) -> list[Source]:
     """
     Return the bags at places, which are bags, folders of bags or data sets.
 
-    labels is the namespace of the commands to learn, empty for the executed ones. Raises
-    ConfigError for other places, and for data sets with other labels.
+    labels is the namespace of the commands to learn, empty for the executed ones; drivers are the
+    sources of mux whose commands are learned, all if none is named. Raises ConfigError for other
+    places, and for data sets with other labels or drivers.
     """
     result = []
     for place in places:
@@ -75,6 +83,12 @@ def sources(places: Sequence[Path], labels: str = '') -> list[Source]:
             raise ConfigError(
                 f'{place}: its labels are {dataset.labels!r:.60}, expected {labels!r}; give '
                 f'--labels {dataset.labels!r:.60}, or build it with --labels {labels!r}'
+            )
+        if dataset.drivers and dataset.drivers != frozenset(drivers):
+            names = ','.join(sorted(dataset.drivers))
+            raise ConfigError(
+                f'{place}: it was built with --drivers {names}, expected '
+                f'{",".join(sorted(drivers)) or "all"}; give --drivers {names}, or build another'
             )
         for name, part in dataset.bags():
             result.append(Source(name, partial(dataset_steps, dataset, part)))
@@ -93,14 +107,18 @@ def dataset_steps(dataset: Dataset, part: slice, refuse: Refuse) -> Iterator[Ste
 
 
 def stream_steps(
-    places: Sequence[Path], report: Report, seed: int | None = None, labels: str = ''
+    places: Sequence[Path],
+    report: Report,
+    seed: int | None = None,
+    labels: str = '',
+    drivers: Collection[str] = (),
 ) -> Iterator[tuple[Source, Steps]]:
     """
     Yield the complete steps of each episode and their source; raises ConfigError.
 
     One episode is in memory at a time; with a seed, bags come in random order.
     """
-    shuffled = sources(places, labels)
+    shuffled = sources(places, labels, drivers)
     if seed is not None:
         random.Random(seed).shuffle(shuffled)
     for source in shuffled:
@@ -111,13 +129,14 @@ def stream_steps(
 
 
 def examples_of(
-    steps: Steps, observation: ObservationConfig, report: Report
+    steps: Steps, observation: ObservationConfig, report: Report, drivers: Collection[str] = ()
 ) -> EpisodeExamples | None:
     """
     Return the examples of an episode, None if there are none.
 
     Frames go back to the episode's first state and no farther, as in the environment. An example
-    with an earlier frame of an incomplete step is dropped and counted.
+    with an earlier frame of an incomplete step is dropped and counted, as are steps with other
+    drivers; the frames of those are seen in later examples.
     """
     team = steps.n_shepherds
     step = torch.from_numpy(steps.step)
@@ -126,10 +145,16 @@ def examples_of(
     frame_keys = frame * team + steps.shepherd[:, None]
     rows = np.minimum(np.searchsorted(key, frame_keys), max(len(key) - 1, 0))
     complete = (key[rows] == frame_keys).all(axis=1) if len(key) else np.zeros(0, bool)
-    if not complete.all():
-        k = int(np.argmin(complete))
-        place = f'{steps.where}, step {steps.step[k]}, shepherd_{steps.shepherd[k]}'
-        report.drop('an earlier frame is missing', place, int((~complete).sum()))
+    chosen = steps.driven_by(drivers)
+    for reason, dropped in (
+        ('another driver', ~chosen),
+        ('an earlier frame is missing', chosen & ~complete),
+    ):
+        if dropped.any():
+            k = int(np.argmax(dropped))
+            place = f'{steps.where}, step {steps.step[k]}, shepherd_{steps.shepherd[k]}'
+            report.drop(reason, place, int(dropped.sum()))
+    complete &= chosen
     if not complete.any():
         return None
     report.examples += int(complete.sum())
@@ -141,32 +166,40 @@ def examples_of(
 
 
 def count_examples(
-    places: Sequence[Path], observation: ObservationConfig, labels: str = ''
+    places: Sequence[Path],
+    observation: ObservationConfig,
+    labels: str = '',
+    drivers: Collection[str] = (),
 ) -> Report:
     """Return the report on places, with the number of examples of this observation."""
     report = Report()
-    for _, steps in stream_steps(places, report, labels=labels):
-        examples_of(steps, observation, report)
+    for _, steps in stream_steps(places, report, labels=labels, drivers=drivers):
+        examples_of(steps, observation, report, drivers)
     return report
 
 
 def build_dataset(
-    places: Sequence[Path], folder: Path, observation: ObservationConfig, labels: str = ''
+    places: Sequence[Path],
+    folder: Path,
+    observation: ObservationConfig,
+    labels: str = '',
+    drivers: Collection[str] = (),
 ) -> Report:
     """
     Write the complete steps at places as a data set into a new folder; return the report.
 
-    The data set serves any observation; the report counts the examples of this one. Raises
-    ConfigError, and leaves no folder then.
+    The data set serves any observation; the report counts the examples of this one. With drivers
+    it has all steps of each shepherd that has one of theirs in an episode, as examples see earlier
+    frames, too. Raises ConfigError, and leaves no folder then.
     """
     report, source = Report(), None
-    with DatasetWriter(folder, labels) as writer:
-        for current, steps in stream_steps(places, report, labels=labels):
+    with DatasetWriter(folder, labels, drivers=drivers) as writer:
+        for current, steps in stream_steps(places, report, labels=labels, drivers=drivers):
             if current is not source:
                 writer.begin_bag(current.name)
                 source = current
-            writer.add(steps)
-            examples_of(steps, observation, report)
+            writer.add(steps.with_context(drivers) if drivers else steps)
+            examples_of(steps, observation, report, drivers)
         if not writer.rows:
             raise ConfigError(f'no step of the bags can be learned from:\n{report.text()}')
         writer.close(report.to_dict())

@@ -46,8 +46,9 @@ NUMBERS = (
     'recorded_episode', 'seed', 'n_sheep', 'n_shepherds', 'shepherd', 'first_step',
 )  # fmt: skip
 EPISODE_SCHEMA = pa.schema(
-    [*((name, _LONG) for name in NUMBERS), ('tasks', pa.list_(pa.string())), ('bag', pa.string())]
-)
+    [*((name, _LONG) for name in NUMBERS), ('tasks', pa.list_(pa.string())), ('bag', pa.string()),
+     ('driver', pa.string())]
+)  # fmt: skip
 
 
 def features(layout: ScanLayout) -> dict[str, Any]:

@@ -57,8 +57,10 @@ class Dataset:
     range_max: float  # m
     layout: ScanLayout
     labels: str  # namespace of the commands
+    drivers: frozenset[str]  # of its examples, all if none is named
     runs: dict[str, np.ndarray]  # columns (E,) of meta/episodes
     names: list[str]  # of the bag of each run
+    driver: list[str]  # of each run, empty if not recorded
 
     @cached_property
     def files(self) -> np.ndarray:
@@ -83,6 +85,7 @@ class Dataset:
         first = self.runs['first_step'][chosen.start : chosen.stop]
         step = np.concatenate([s + np.arange(n) for s, n in zip(first, lengths, strict=True)])
         order = np.lexsort((shepherd, step))
+        driver = np.repeat(np.array(self.driver[chosen.start : chosen.stop], np.str_), lengths)
         key = (step * MAX_SHEPHERDS + shepherd)[order]
         name = self.names[chosen.start]
         if (np.diff(key) <= 0).any() or shepherd.max() >= row['n_shepherds']:
@@ -101,6 +104,7 @@ class Dataset:
             channels=self.layout.channels,
             lidar=np.concatenate([lidar for lidar, _ in tables])[order],
             action=np.concatenate([action for _, action in tables])[order],
+            driver=driver[order] if driver.any() else driver[:0],
         )
 
     def _files(self, chosen: range) -> Iterator[range]:
@@ -141,10 +145,12 @@ def open_dataset(folder: Path) -> Dataset:
     with _open(path) as source:
         if source.metadata.num_rows > MAX_RUNS:
             raise BagError(path, f'it has more than {MAX_RUNS} rows', REBUILD_HINT)
-        table = source.read([*NUMBERS, 'bag'], use_threads=False)
+        drivers = [name for name in source.schema_arrow.names if name == 'driver']
+        table = source.read([*NUMBERS, 'bag', *drivers], use_threads=False)
         count = np.arange(len(table))
         runs = {name: _array(table[name], pa.int64(), count.shape) for name in NUMBERS}
         bags = [str(name) for name in table['bag'].to_pylist()]
+        driver = table['driver'].to_pylist() if drivers else [''] * len(table)
     for name, (low, high) in LIMITS.items():
         invalid = (runs[name] < low) | (runs[name] > high)
         if invalid.any():
@@ -152,7 +158,8 @@ def open_dataset(folder: Path) -> Dataset:
             raise BagError(path, f'{name} is {value}, expected {low} to {high}', REBUILD_HINT)
     ends = np.cumsum(runs['length'])
     lidar = meta['range_max'], meta['layout']
-    dataset = Dataset(folder, meta['dt'], *lidar, meta['labels'], runs, bags)
+    learned, driver = (meta['labels'], meta['drivers']), [str(name or '') for name in driver]
+    dataset = Dataset(folder, meta['dt'], *lidar, *learned, runs, bags, driver)
     if not (
         (np.diff(dataset.files) >= 0).all()
         and np.array_equal(runs['episode_index'], count)
@@ -189,7 +196,11 @@ def _read_meta(folder: Path) -> dict[str, Any]:
         raise BagError(
             path, f'channels are {channels!r:.80}, expected names in order', REBUILD_HINT
         )
-    return meta | {'layout': ScanLayout(tuple(channels), rays)}
+    drivers = meta.get('drivers', [])
+    if not (isinstance(drivers, list) and all(isinstance(name, str) for name in drivers)):
+        raise BagError(path, f'drivers are {drivers!r:.80}, expected names', REBUILD_HINT)
+    layout = ScanLayout(tuple(channels), rays)
+    return meta | {'layout': layout, 'drivers': frozenset(drivers)}
 
 
 @contextmanager

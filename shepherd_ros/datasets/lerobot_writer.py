@@ -1,13 +1,14 @@
 """
 Writer of complete steps as a data set in Parquet, with the folders and columns of LeRobot 3.0.
 
-A row is a step of one shepherd, a LeRobot episode a run of steps without a hole. Values that
-LeRobot has no place for are in further columns of meta/episodes, and in meta/shepherd_ros.json.
+A row is a step of one shepherd, a LeRobot episode a run of its steps with one driver and without
+a hole. Values that LeRobot has no place for are in further columns of meta/episodes, and in
+meta/shepherd_ros.json.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 import json
 import math
 from pathlib import Path
@@ -47,15 +48,23 @@ from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS, ScanLayout
 class DatasetWriter:
     """A data set that is being written; it gets its name when it is complete."""
 
-    def __init__(self, folder: Path, labels: str = '', file_size: int = FILE_SIZE << 20) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        labels: str = '',
+        file_size: int = FILE_SIZE << 20,
+        drivers: Collection[str] = (),
+    ) -> None:
         """
         Create the folder; raises BagError if it exists.
 
-        labels is the namespace of the commands, file_size [bytes] the size of a full file.
+        labels is the namespace of the commands, file_size [bytes] the size of a full file; drivers
+        are those of the examples, all if none is named.
         """
         if folder.exists():
             raise BagError(folder, 'it exists already', 'choose another folder or remove this one')
         self.folder, self.labels, self.file_size = folder, labels, file_size
+        self.drivers = sorted(drivers)
         self.part = folder.with_name(f'.{folder.name}.part')
         self.dt, self.range_max, self.layout = 0.0, 0.0, ScanLayout(PAPER_CHANNELS, 0)
         self.rows, self.runs, self.files, self.bags = 0, 0, 0, 0
@@ -156,7 +165,9 @@ class DatasetWriter:
             int(steps.shepherd[first]), int(steps.step[first]),
         )  # fmt: skip
         numbers = dict(zip(NUMBERS, row, strict=True))
-        self._pending.append(numbers | {'tasks': [TASK_TEXT], 'bag': self._bag})
+        driver = str(steps.driver[first]) if len(steps.driver) else ''
+        texts = {'tasks': [TASK_TEXT], 'bag': self._bag, 'driver': driver}
+        self._pending.append(numbers | texts)
         self.runs, self.rows = self.runs + 1, self.rows + count
 
     def _table(self, steps: Steps, chosen: np.ndarray) -> pa.Table:
@@ -213,6 +224,8 @@ class DatasetWriter:
             'channels': list(self.layout.channels), 'labels': self.labels, 'bags': self.bags,
             'report': dict(report),
         }  # fmt: skip
+        if self.drivers:
+            meta['drivers'] = self.drivers
         ranges = {k: [[x] for x in v] for k, v in self._ranges.to_dict().items()}
         stats: dict[str, Any] = {LIDAR: ranges, ACTION: self._actions.to_dict()}
         for name in (LIDAR, ACTION):
@@ -229,7 +242,10 @@ class DatasetWriter:
 
 
 def runs(steps: Steps) -> Iterator[np.ndarray]:
-    """Yield the indices (k,) of runs of steps without a hole, shepherd by shepherd."""
+    """Yield the indices (k,) of runs with one driver and without a hole, shepherd by shepherd."""
     for shepherd in np.unique(steps.shepherd):
         (own,) = np.nonzero(steps.shepherd == shepherd)
-        yield from np.split(own, np.nonzero(np.diff(steps.step[own]) != 1)[0] + 1)
+        ends = np.diff(steps.step[own]) != 1
+        if len(steps.driver):
+            ends |= steps.driver[own][1:] != steps.driver[own][:-1]
+        yield from np.split(own, np.nonzero(ends)[0] + 1)

@@ -6,8 +6,8 @@ Learning from recordings starts here, from bags and from data sets built of them
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -37,10 +37,25 @@ class Steps:
     channels: tuple[str, ...] = PAPER_CHANNELS  # C
     range_max: float = 0.0  # m, of the lidar; 0 if it is not known
     partial: bool = False  # states of the episode were not recorded
+    driver: NDArray[np.str_] = field(  # (n,) source of the action; (0,) if not recorded
+        default_factory=lambda: np.zeros(0, np.str_)
+    )
 
     def __len__(self) -> int:
         """Return the number of steps."""
         return len(self.step)
+
+    def driven_by(self, drivers: Collection[str]) -> NDArray[np.bool_]:
+        """Return the mask (n,) of the steps with one of these drivers; all if none is named."""
+        if drivers and len(self.driver):
+            return np.isin(self.driver, sorted(drivers))
+        return np.full(len(self), not drivers)
+
+    def with_context(self, drivers: Collection[str]) -> Steps:
+        """Return all steps of each shepherd that has a step with one of these drivers."""
+        chosen = np.isin(self.shepherd, self.shepherd[self.driven_by(drivers)])
+        names = ('step', 'shepherd', 'lidar', 'action', *(['driver'] if len(self.driver) else []))
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     @property
     def layout(self) -> ScanLayout:
@@ -64,6 +79,8 @@ def steps_of(episode: RecordedEpisode, bag: str, number: int, refuse: Refuse) ->
     range_max = _range_max(episode, place)
     _refuse_holes([frame.step for frame in episode.frames], team, place, refuse)
     steps: list[tuple[int, int, Ranges, NDArray[np.float32]]] = []
+    has_drivers = any(frame.drivers for frame in episode.frames)
+    drivers: list[str] = []
     for frame in episode.frames[:-1]:
         for h in range(team):
             scan, command = frame.scans[h], _single(frame.commands[h])
@@ -77,6 +94,7 @@ def steps_of(episode: RecordedEpisode, bag: str, number: int, refuse: Refuse) ->
                     f'expected {steps[0][2].shape[-1]} as before; record one lidar at a time'
                 )
             steps.append((frame.step, h, scan, command))
+            drivers.append((frame.drivers[h] if len(frame.drivers) > h else None) or '')
     empty = np.zeros((0, len(episode.channels), 0), np.float32)
     return Steps(
         bag=bag,
@@ -92,6 +110,7 @@ def steps_of(episode: RecordedEpisode, bag: str, number: int, refuse: Refuse) ->
         partial=not episode.whole,
         lidar=np.stack([row[2] for row in steps]).astype(np.float32) if steps else empty,
         action=np.array([row[3] for row in steps], np.float32).reshape(-1, 2),
+        driver=np.array(drivers if has_drivers else [], np.str_),
     )
 
 

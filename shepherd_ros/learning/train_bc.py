@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Any
 
 from shepherd_ros.config import Config, ConfigError, option, part
 from shepherd_ros.datasets.dataset_report import Report
-from shepherd_ros.datasets.examples import examples_of, stream_steps
+from shepherd_ros.datasets.examples import driver_names, examples_of, stream_steps
 from shepherd_ros.datasets.steps import Steps
 from shepherd_ros.learning.clone import CloneConfig, CloneLearner, Examples
 from shepherd_ros.learning.run_folder import RunFolder
@@ -36,6 +36,10 @@ class BCConfig(Config):
     eval_episodes: int = option(32, 'episodes of the evaluation after an epoch', low=2)
     eval_steps: int = option(1000, 'steps of these episodes', low=1)
     labels: str = option('', 'namespace of the commands to learn; empty: those that were driven')
+    drivers: str = option(
+        '', 'sources of mux whose steps are learned, such as keys or keys,joy; empty: all',
+        sparse=True,
+    )  # fmt: skip
     task: TaskConfig = part(TaskConfig)
     clone: CloneConfig = part(CloneConfig)
 
@@ -59,15 +63,16 @@ def stream_examples(
     report: Report,
     seed: int | None = None,
     labels: str = '',
+    drivers: Collection[str] = (),
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     """
     Yield scaled frames (n, K, C, R), ray in front (n,), wanted action (n, 2) episode by episode.
 
     Arguments are those of stream_steps().
     """
-    for _, steps in stream_steps(places, report, seed, labels):
+    for _, steps in stream_steps(places, report, seed, labels, drivers):
         require_fit(steps, policy.config)
-        found = examples_of(steps, policy.config.observation, report)
+        found = examples_of(steps, policy.config.observation, report, drivers)
         if found is not None:
             frames = found.frames()
             first = policy.first_ray(frames[:, -1])
@@ -105,7 +110,10 @@ class BCTrainer:
         config, progress, self.report = self.config, self.progress, Report()
         self.cloner.slow_down(1 - 0.95 * self.share())
         order = int(mixed_seeds(1, config.seed, progress['updates']))
-        stream = stream_examples(self.places, self.policy, self.report, order, config.labels)
+        drivers = driver_names(config.drivers)
+        stream = stream_examples(
+            self.places, self.policy, self.report, order, config.labels, drivers
+        )
         for number, (frames, first, wanted) in enumerate(stream):
             if number < self.read:
                 continue

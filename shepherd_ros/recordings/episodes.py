@@ -35,6 +35,7 @@ class Frame:
     scans: list[Ranges | None]  # for each shepherd (C, R) m, +inf for no return
     commands: list[Floats | None]  # for each shepherd (2,) m/s
     lidars: frozenset[tuple[float, float]] = frozenset()  # range_max m, angle_min rad of scans
+    drivers: tuple[str | None, ...] = ()  # source of each command, () if nobody said
 
 
 @dataclass(frozen=True)
@@ -106,12 +107,21 @@ def episode_of(bag: Bag, group: RecordedGroup) -> RecordedEpisode:
                 shepherd_heading=state.shepherds.heading,
                 goal=goals[index - 1][1] if index else None,
                 scans=[_scan(bag, group, step, state, h) for h in range(info.n_shepherds)],
-                commands=[state.commands.get(h) for h in range(info.n_shepherds)],
+                commands=[_command(state, h) for h in range(info.n_shepherds)],
                 lidars=frozenset(state.lidars),
+                drivers=state.drivers,
             )
         )
     values = {f.name: getattr(info, f.name) for f in fields(info)}
     return RecordedEpisode(**values, frames=frames, channels=group.channels)
+
+
+def _command(state: RecordedState, shepherd: int) -> Floats | None:
+    """Return a command (2,) m/s; zero where a lock took back what was commanded before."""
+    command, drivers = state.commands.get(shepherd), state.drivers
+    if command is not None and len(drivers) > shepherd and drivers[shepherd] is None:
+        return np.zeros_like(command)
+    return command
 
 
 def _scan(

@@ -14,14 +14,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from shepherd_ros.config import ConfigError
-from shepherd_ros.rosbag2.bag import Bag, BagMessage
+from shepherd_ros.recordings.contents import decode_message
+from shepherd_ros.rosbag2.bag import Bag
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS, sorted_channels
 from shepherd_ros.wire.contract import known, KnownTopic
-from shepherd_ros.wire.decode import CdrError, DECODERS, Floats, Poses, Ranges, Vector
+from shepherd_ros.wire.decode import Floats, Poses, Ranges, Vector
 from shepherd_ros.wire.episode import Episode
 from shepherd_ros.wire.topics import (
     COMMANDS,
+    DRIVERS,
     EPISODE,
     GOAL,
     scan_topic,
@@ -31,20 +33,21 @@ from shepherd_ros.wire.topics import (
 
 SCANS = scan_topic('')  # and the name of a channel
 STATES = (SHEEP_POSES, SHEPHERD_POSES)
-EPISODE_PARTS = (*STATES, SCANS, COMMANDS, GOAL)
+EPISODE_PARTS = (*STATES, SCANS, COMMANDS, GOAL, DRIVERS)
 CLOSING_STEP = 2  # an episode ends for good when the next one has a state with this step
 TEXT_TYPE = 'std_msgs/msg/String'  # of announcements
 
 
 @dataclass
 class RecordedState:
-    """Messages of one state; the first of each topic counts."""
+    """Messages of one state; the first of each topic counts, of drivers the last."""
 
     sheep: Poses | None = None
     shepherds: Poses | None = None
     scans: dict[tuple[int, str], Ranges] = field(default_factory=dict)  # by shepherd, channel
     lidars: set[tuple[float, float]] = field(default_factory=set)  # range_max m, angle_min rad
     commands: dict[int, Floats] = field(default_factory=dict)  # by shepherd
+    drivers: tuple[str | None, ...] = ()  # by shepherd, () if not recorded
     raw: dict[str, bytes] = field(default_factory=dict)  # poses and scans by topic, if kept
 
 
@@ -60,22 +63,6 @@ class RecordedGroup:
     astray: list[tuple[str, int]] = field(default_factory=list)  # topic, stamp between two states
     latest: dict[str, int] = field(default_factory=dict)  # last stamp by topic
     last_step: int = -1  # with poses, -1 if there is none
-
-
-def decode_message(bag: Bag, message: BagMessage, kinds: Collection[str]) -> Any:
-    """Return a message of one of the expected types; raises BagError."""
-    place = f'{message.topic} at log time {message.log_ns} ns'
-    if message.type not in kinds:
-        expected = ' or '.join(kinds)
-        raise BagError(
-            bag.path,
-            f'{place} has type {message.type[:80]!r}, expected {expected}',
-            'record with the topics of msg_schemas/topics.yaml',
-        )
-    try:
-        return DECODERS[message.type](message.data)
-    except CdrError as error:
-        raise BagError(bag.path, f'{place} is no {message.type}: {error}') from error
 
 
 def namespaces(bag: Bag) -> list[str]:
@@ -218,7 +205,7 @@ class _Sorter:
             group.last_step = max(group.last_step, step)
         state = group.states.setdefault(step, RecordedState())
         _store(state, name, entry.shepherd, content)
-        if raw is not None and name != COMMANDS:
+        if raw is not None and name not in (COMMANDS, DRIVERS):
             state.raw.setdefault(label, raw)
         return True
 
@@ -241,6 +228,8 @@ def _store(state: RecordedState, name: str, shepherd: int | None, content: Any) 
         state.sheep = state.sheep or content
     elif name == SHEPHERD_POSES:
         state.shepherds = state.shepherds or content
+    elif name == DRIVERS:
+        state.drivers = content.drivers
     elif shepherd is not None and name == COMMANDS:
         state.commands.setdefault(shepherd, content.xy)
     elif shepherd is not None:

@@ -29,6 +29,11 @@ class Drivers:
     selected: tuple[str, ...]
     locked: tuple[bool, ...]
 
+    @property
+    def stamp_ns(self) -> int:
+        """Return the stamp, as contents of other messages have it."""
+        return self.stamp
+
     def to_json(self) -> str:
         """Return the content of the topic."""
         return json.dumps(asdict(self))
