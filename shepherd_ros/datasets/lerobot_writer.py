@@ -1,9 +1,8 @@
 """
 Writer of complete steps as a data set in Parquet, with the folders and columns of LeRobot 3.0.
 
-A row is a step of one shepherd, a LeRobot episode a run of its steps with one driver and without
-a hole. Values that LeRobot has no place for are in further columns of meta/episodes, and in
-meta/shepherd_ros.json.
+A row is a step of one shepherd, a LeRobot episode a run of its steps with one driver and no hole.
+Values without a place in LeRobot are in further columns of meta/episodes and shepherd_ros.json.
 """
 
 from __future__ import annotations
