@@ -78,6 +78,7 @@ setup(
         'docs': ['furo', 'myst-parser', 'sphinx', 'sphinx-copybutton'],
         'test': ['pytest'],
         'dev': [
+            'axe-core-python',
             'catkin-pkg',
             'codespell',
             'colcon-common-extensions',

@@ -110,8 +110,11 @@ function showLink(state, words) {
 }
 
 LINK.on('live', (on) => {
-  if (on) showLink('live', 'Live');
-  else {
+  if (on) {
+    showLink('live', 'Live');
+    team.watch();
+    bags.connected();
+  } else {
     showLink('lost', 'Reconnecting');
     if (DRIVE.held >= 0) DRIVE.forget();
   }

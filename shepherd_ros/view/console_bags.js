@@ -23,6 +23,10 @@ class Bags {
 
   hello({controllers}) {
     options(find('rival'), controllers ?? []);
+  }
+
+  // The jobs of a page end with its connection.
+  connected() {
     this.hideJob();
     this.link.tell('list_bags');
   }
@@ -166,9 +170,10 @@ class Bags {
     for (const words of ['', ...named.map(({name}) => name)])
       element('th', head, words).scope = 'col';
     const body = element('tbody', box);
-    for (const {name, values} of table) {
+    for (const {name, unit, values} of table) {
       const row = element('tr', body);
-      element('th', row, name.replaceAll('_', ' ')).scope = 'row';
+      const words = name.replaceAll('_', ' ') + (unit && unit !== '1' ? ` [${unit}]` : '');
+      element('th', row, words).scope = 'row';
       for (const value of values)
         element('td', row, value === null ? 'none' : String(Number(value.toPrecision(4))));
     }

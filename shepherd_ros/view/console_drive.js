@@ -36,14 +36,18 @@ class Drive {
     this.makeGuard(find('guard'));
   }
 
-  take(shepherd) {
+  async take(shepherd) {
     if (shepherd === this.held || !this.link.live) return;
     if (this.held >= 0) this.release();
     this.held = shepherd;
     this.rest();
     this.timer = setInterval(() => this.send(), PERIOD);
     this.changed();
-    this.send();
+    const first = {shepherd, x: 0, y: 0, frame: this.frame};
+    const {ok, text} = await this.link.ask('drive', first);
+    if (ok || this.held !== shepherd) return;
+    this.forget();
+    this.link.hear('refused', {name: 'drive', text});
   }
 
   // Stop the shepherd and give it back.
@@ -96,13 +100,8 @@ class Drive {
 
   send() {
     if (this.held < 0) return;
-    const [x, y] = (this.sent = this.velocity),
-      shepherd = this.held;
-    this.link.ask('drive', {shepherd, x, y, frame: this.frame}).then(({ok, text}) => {
-      if (ok || this.held !== shepherd) return;
-      this.forget();
-      this.link.hear('refused', {name: 'drive', text});
-    });
+    const [x, y] = (this.sent = this.velocity);
+    this.link.send('drive', {shepherd: this.held, x, y, frame: this.frame});
   }
 
   // Send at once what has changed, not only at the next beat.
@@ -136,7 +135,9 @@ class Drive {
       this.update();
     });
     addEventListener('focusin', (event) => {
-      if (typing(event)) this.rest();
+      if (!typing(event)) return;
+      this.rest();
+      this.update();
     });
     addEventListener('contextmenu', () => {
       this.rest();

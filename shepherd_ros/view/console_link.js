@@ -75,12 +75,13 @@ class Link {
     const {type, ...message} = JSON.parse(text);
     if (type === 'answer') this.answered(message);
     else {
-      if (type === 'hello') {
+      const first = type === 'hello' && !this.live;
+      if (first) {
         this.tries = 0;
         this.live = true;
-        this.hear('live', true);
       }
       this.hear(type, message);
+      if (first) this.hear('live', true);
     }
   }
 
@@ -99,13 +100,20 @@ class Link {
 
   // Give a command; the answer is {ok, text}.
   ask(name, fields = {}) {
-    if (!this.live) return Promise.resolve({ok: false, text: 'There is no connection.'});
     const id = ++this.number;
-    this.socket.send(JSON.stringify({do: name, id, ...fields}));
+    if (!this.send(name, {id, ...fields}))
+      return Promise.resolve({ok: false, text: 'There is no connection.'});
     return new Promise((resolve) => {
       this.asked.set(id, {resolve, since: performance.now()});
       if (this.asked.size === 1) setTimeout(() => this.expire(), PATIENCE);
     });
+  }
+
+  // Send a command that is not answered, unless with an error; return whether it could be sent.
+  send(name, fields = {}) {
+    const open = this.live && this.socket.readyState === WebSocket.OPEN;
+    if (open) this.socket.send(JSON.stringify({do: name, ...fields}));
+    return open;
   }
 
   // Give a command whose answer counts only if it is an error.
@@ -142,7 +150,7 @@ class Link {
       const frame = readFrame(this.fresh);
       this.fresh = null;
       this.draw(frame);
-      if (this.live) this.socket.send(JSON.stringify({do: 'ack', frame: frame.number}));
+      this.send('ack', {frame: frame.number});
     });
   }
 }

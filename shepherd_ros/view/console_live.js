@@ -92,7 +92,7 @@ class Live {
   follow() {
     const {frame, plane} = this,
       {ground} = plane;
-    if (!ground.fitted) return;
+    if (!ground.fitted || ground.pointers.size) return;
     const [gx, gy] = this.goal ?? frame.goal,
       r = frame.goalRadius;
     let [left, right, bottom, top] = [gx - r, gx + r, gy - r, gy + r];

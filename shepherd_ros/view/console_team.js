@@ -31,6 +31,8 @@ class Team {
 
   hello({page, channels, checkpoints}) {
     this.page = page;
+    options(find('critic'), checkpoints ?? []);
+    if (JSON.stringify(channels) === JSON.stringify(this.live.channels)) return;
     this.live.channels = channels;
     find('channels').replaceChildren();
     channels.forEach(({name, color}) => {
@@ -43,9 +45,7 @@ class Team {
       element('i', label, '', 'ray').style.background = color;
       label.append(name);
     });
-    options(find('critic'), checkpoints ?? []);
     this.readLayers();
-    this.watch();
   }
 
   hearDrivers(drivers) {

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+import json
 from pathlib import Path
 import shutil
 import time
@@ -50,7 +52,7 @@ def chromium(profile: Path) -> webdriver.Chrome:
     options.binary_location = browser
     for flag in (*FLAGS, f'--user-data-dir={profile}'):
         options.add_argument(flag)
-    options.set_capability('goog:loggingPrefs', {'browser': 'ALL'})
+    options.set_capability('goog:loggingPrefs', {'browser': 'ALL', 'performance': 'ALL'})
     return webdriver.Chrome(options, webdriver.ChromeService(driver))
 
 
@@ -60,8 +62,8 @@ class Reader:
     def __init__(self, driver: webdriver.Chrome) -> None:
         self.driver = driver
 
-    def open(self, path: Path) -> None:
-        self.driver.get(path.as_uri())
+    def open(self, path: Path | str) -> None:
+        self.driver.get(path if isinstance(path, str) else path.as_uri())
         self.until(lambda: self.run('return document.body.dataset.ready') == 'yes', 'it is ready')
 
     def run(self, script: str, *arguments: object) -> Any:
@@ -112,3 +114,27 @@ class Reader:
 
     def complaints(self) -> list[str]:
         return [entry['message'] for entry in self.driver.get_log('browser')]
+
+    def requests(self) -> set[str]:
+        """Return the addresses that the browser has asked for since the last time."""
+        events = [json.loads(entry['message']) for entry in self.driver.get_log('performance')]
+        found = set()
+        for event in (event['message'] for event in events):
+            if event['method'] == 'Network.requestWillBeSent':
+                found.add(event['params']['request']['url'])
+            elif event['method'] == 'Network.webSocketCreated':
+                found.add(event['params']['url'])
+        return found
+
+    @contextmanager
+    def window(self, width: int, dark: bool = False) -> Iterator[None]:
+        """Make the window as wide as said, a phone's below 500 px, by day or by night."""
+        size = {'width': width, 'height': 800, 'deviceScaleFactor': 1, 'mobile': width < 500}
+        scheme = {'name': 'prefers-color-scheme', 'value': 'dark' if dark else 'light'}
+        self.driver.execute_cdp_cmd('Emulation.setDeviceMetricsOverride', size)
+        self.driver.execute_cdp_cmd('Emulation.setEmulatedMedia', {'features': [scheme]})
+        try:
+            yield
+        finally:
+            self.driver.execute_cdp_cmd('Emulation.clearDeviceMetricsOverride', {})
+            self.driver.execute_cdp_cmd('Emulation.setEmulatedMedia', {'features': []})
