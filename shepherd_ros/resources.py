@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.metadata import distributions
 from pathlib import Path
 import shutil
 import sys
@@ -40,6 +41,13 @@ def share_file(*parts: str) -> Path:
             return path
     looked = ', '.join(str(place) for place in places)
     raise FileNotFoundError(f'{Path(*parts)} is in none of {looked}: install the package again')
+
+
+def quick_profile() -> tuple[str, Path]:
+    """Return a variable and a file that let nodes find each other sooner, for this Fast DDS."""
+    if is_installed('fastdds') or any(distributions(name='ros-fastdds')):  # version 3, Kilted
+        return 'FASTDDS_DEFAULT_PROFILES_FILE', share_file('config', 'fastdds3_quick.xml')
+    return 'FASTRTPS_DEFAULT_PROFILES_FILE', share_file('config', 'fastdds_quick.xml')
 
 
 def executable_path(name: str) -> Path | None:

@@ -19,6 +19,7 @@ import tempfile
 from typing import TYPE_CHECKING
 
 import pytest
+from shepherd_ros.resources import quick_profile
 import torch
 
 if TYPE_CHECKING:
@@ -26,16 +27,16 @@ if TYPE_CHECKING:
 
 FIRST, DOMAINS, SHARE = 1, 101, 25  # domains 1 to 101; a worker begins SHARE after the one before
 HERE = Path(__file__).resolve().parent
-ROOT = HERE.parent
 PORTS = Path('/proc/net/udp')  # of this machine, where the kernel tells
 
 os.environ |= {
     'FASTDDS_BUILTIN_TRANSPORTS': 'UDPv4',
-    'FASTRTPS_DEFAULT_PROFILES_FILE': str(ROOT / 'config' / 'fastdds_quick.xml'),
     'OMP_NUM_THREADS': '1',
     'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
     'ROS_PYTHON_CHECK_FIELDS': '1',
 }
+VARIABLE, PROFILE = quick_profile()
+os.environ[VARIABLE] = str(PROFILE)
 os.environ.pop('ROS_STATIC_PEERS', None)
 # what a shell lets its background jobs ignore would be ignored by the nodes of the tests, too
 signal.signal(signal.SIGINT, signal.default_int_handler)

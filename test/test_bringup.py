@@ -3,6 +3,7 @@
 import ast
 from dataclasses import replace
 from pathlib import Path
+import xml.etree.ElementTree as ET
 
 import pytest
 import rclpy
@@ -23,7 +24,7 @@ from shepherd_ros.launch_arguments import (
 from shepherd_ros.nodes.compose import NODES
 from shepherd_ros.nodes.herd_node import HerdOptions
 from shepherd_ros.policy.checkpoint import shipped_checkpoints
-from shepherd_ros.resources import share_file
+from shepherd_ros.resources import quick_profile, share_file
 from shepherd_ros.ros.runtime import parse_options
 from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.flocking.flock_model import FlockConfig
@@ -266,6 +267,17 @@ def test_a_namespace_takes_the_place_of_the_recorded_one() -> None:
     moved = dict(replayed(topics, namespace='farm').remaps)
     assert moved['/field/flock/poses'] == '/farm/flock/poses'
     assert '/clock' not in moved
+
+
+def test_the_quick_profiles_of_both_fast_dds_say_the_same() -> None:
+    def settings(name: str) -> list[tuple[str, str]]:
+        nodes = ET.parse(ROOT / 'config' / name).getroot().iter()
+        names = ((node.tag.rpartition('}')[2], (node.text or '').strip()) for node in nodes)
+        return [(name.replace('_p', 'P'), text) for name, text in names]
+
+    assert settings('fastdds_quick.xml') == settings('fastdds3_quick.xml')
+    variable, profile = quick_profile()
+    assert ('FASTDDS' in variable) == (profile.name == 'fastdds3_quick.xml')
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import time
 
 from shepherd_ros.bringup import Process
 from shepherd_ros.cli.user_error import UserError
-from shepherd_ros.resources import executable_path, share_file
+from shepherd_ros.resources import executable_path, quick_profile
 
 
 def executable(name: str) -> str:
@@ -32,8 +32,8 @@ def isolate(environment: MutableMapping[str, str]) -> None:
     environment.setdefault('ROS_DOMAIN_ID', str(102 + os.getpid() % 100))  # tests: 1 to 101
     environment.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     environment.setdefault('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4')
-    profile = share_file('config', 'fastdds_quick.xml')
-    environment.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(profile))
+    variable, profile = quick_profile()
+    environment.setdefault(variable, str(profile))
 
 
 class Running:

@@ -17,7 +17,7 @@ from shepherd_ros.cli import main
 from shepherd_ros.doctor import checks, dds_settings, discovery, installation, machine
 from shepherd_ros.doctor.diagnosis import Check, Diagnosis, ok
 from shepherd_ros.policy import checkpoint
-from shepherd_ros.resources import share_file
+from shepherd_ros.resources import quick_profile
 import torch
 
 
@@ -176,8 +176,8 @@ def test_two_processes_hear_each_other_and_see_who_else_is_there(
     monkeypatch.setenv('ROS_DOMAIN_ID', str(graph.domain))
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     monkeypatch.setenv('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4')
-    profile = share_file('config', 'fastdds_quick.xml')
-    monkeypatch.setenv('FASTRTPS_DEFAULT_PROFILES_FILE', str(profile))
+    variable, profile = quick_profile()
+    monkeypatch.setenv(variable, str(profile))
     with closing(discovery.Pair()) as pair:
         found = {finding.name: finding for finding in pair.check()}
     assert found['rclpy'].text.startswith('rmw_')
