@@ -5,14 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+from rich.console import Console
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
 from shepherd_ros.arguments import verb_group
 from shepherd_ros.cli.out_folders import made_folder
 from shepherd_ros.cli.user_error import UserError
 import tyro
 
 CheckpointName = tyro.conf.Positional[str]
+NAME_WIDTH = 20  # [characters] of the first column of a page
 EXPORT_TOLERANCE = 1e-4  # largest difference of an exported network's outputs
 
 
@@ -24,6 +29,8 @@ class _Info:
     """A file, or the name of a shipped one."""
     weights: bool = False
     """Also list the weights."""
+    json: bool = False
+    """Print JSON: all that the file says, the whole configuration of its training too."""
 
     def run(self) -> int:
         """Print it."""
@@ -33,24 +40,53 @@ class _Info:
             read_checkpoint_metadata,
             shipped_checkpoints,
         )
+        from shepherd_ros.policy.record_rows import record_rows
+        from shepherd_ros.recordings.info import size_text
 
         if not self.checkpoint:
             print('\n'.join(shipped_checkpoints()) or 'no checkpoint is shipped')
             return 0
         path = checkpoint_file(self.checkpoint)
         config, record, version = read_checkpoint_metadata(path)
-        said = version[:60] if version.isprintable() else ascii(version[:60])
-        print(f'file:    {path}\nsize:    {path.stat().st_size} bytes\nversion: {said}')
-        for title, content in (('policy', config.to_dict()), ('record', record)):
-            try:
-                text = json.dumps(content, indent=2)
-            except RecursionError:
-                raise UserError(f'{path}: its {title} is nested too deep to be shown') from None
-            print(f'{title}:\n{text}')
+        shapes = {}
         if self.weights:
-            for name, value in load_policy(self.checkpoint).state_dict().items():
-                print(f'{name:24} {tuple(value.shape)}')
+            state = load_policy(self.checkpoint).state_dict()
+            shapes = {name: tuple(value.shape) for name, value in state.items()}
+        if self.json:
+            about = {
+                'file': str(path),
+                'size': path.stat().st_size,
+                'version': version,
+                'policy': config.to_dict(),
+                'record': record,
+                **({'weights': shapes} if self.weights else {}),
+            }
+            print(_json(about, path))
+            return 0
+        console = Console(highlight=False)
+        console.print(f'{path}, {size_text(path.stat().st_size)}', soft_wrap=True, markup=False)
+        parts = dict(record_rows(config, record, version))
+        if self.weights:
+            parts['Weights'] = [(name, str(shape)) for name, shape in shapes.items()]
+        for title, rows in parts.items():
+            if not rows:
+                continue
+            grid = Table.grid(padding=(0, 2))
+            grid.add_column(width=NAME_WIDTH)
+            grid.add_column(overflow='fold')
+            for name, value in rows:
+                grid.add_row(Text(name), Text(value))
+            console.print(Text(f'\n{title}', style='bold'))
+            console.print(Padding(grid, (0, 0, 0, 2)))
         return 0
+
+
+def _json(about: dict[str, Any], path: Path) -> str:
+    """Return what a checkpoint says as JSON, or raise UserError."""
+    try:
+        return json.dumps(about, indent=2)
+    except RecursionError:
+        raise UserError(f'{path}: its record is nested too deep to be shown') from None
 
 
 @dataclass

@@ -1,3 +1,3 @@
 """The network of a learned shepherd, its checkpoints, and inference within an episode."""
 
-__all__ = ['card', 'checkpoint', 'inference', 'network', 'policy', 'torchscript']
+__all__ = ['card', 'checkpoint', 'inference', 'network', 'policy', 'record_rows', 'torchscript']

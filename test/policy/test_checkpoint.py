@@ -128,11 +128,47 @@ def test_what_a_terminal_or_a_reader_cannot_bear_is_not_shown(
 ) -> None:
     path = changed(checkpoint, tmp_path / 'odd.safetensors', version='\x1b[2J')
     assert main(['checkpoint', 'info', str(path)]) == 0
-    assert r"version: '\x1b[2J'" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert r"shepherd_ros '\x1b[2J'" in said
+    assert '\x1b[2J' not in said
     config = json.dumps({'layout': 'x' * 10_000})
     path = changed(checkpoint, tmp_path / 'long.safetensors', config=config)
     assert main(['checkpoint', 'info', str(path)]) == 2
     assert len(capsys.readouterr().err) < 1000
+
+
+def test_info_is_a_page_for_people_and_json_for_programs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv('COLUMNS', '80')
+    for name in shipped_checkpoints():
+        path = checkpoint_file(name)
+        config, record, version = read_checkpoint_metadata(path)
+        assert main(['checkpoint', 'info', name, '--json', '--weights']) == 0
+        told = json.loads(capsys.readouterr().out)
+        assert told['weights'] == {
+            key: list(value.shape) for key, value in load_policy(name).state_dict().items()
+        }
+        del told['weights']
+        assert told == {
+            'file': str(path),
+            'size': path.stat().st_size,
+            'version': version,
+            'policy': config.to_dict(),
+            'record': record,
+        }
+        assert main(['checkpoint', 'info', name]) == 0
+        first, *lines = (line.rstrip() for line in capsys.readouterr().out.splitlines())
+        assert first.startswith(f'{path}, ')
+        assert len(lines) < 80
+        assert max(map(len, lines)) <= 80
+        rows = [(line[2:22].strip(), line[24:]) for line in lines]
+        task, measured = record['config']['run']['task'], record['eval']
+        assert ('flock', task['flock']) in rows
+        sheep = {task['sheep_min']: None, task['sheep_max']: None}
+        assert ('sheep', ' to '.join(map(str, sheep))) in rows
+        assert ('completion [steps]', f'{measured["completion_time"]:.4g}') in rows
+        assert ('lidar', f'{config.lidar.n_rays} rays up to {config.lidar.range_max:g} m') in rows
 
 
 def test_shipped_checkpoints_say_how_they_were_made() -> None:
