@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal, TYPE_CHECKING
 
 from shepherd_ros.arguments import verb_group
-from shepherd_ros.cli.out_folders import made_folder
+from shepherd_ros.cli.out_folders import claimed_folder
 from shepherd_ros.cli.progress import progress, reading
 from shepherd_ros.cli.user_error import UserError
 import tyro
@@ -180,6 +180,8 @@ class _Render:
     """Seconds of the episode in a second of the animation; all in 10 s by default."""
     title: str = ''
     """Title of picture, animation and page; the bag, its episode and seed by default."""
+    overwrite: bool = False
+    """Write into a folder that holds something else."""
 
     def run(self) -> int:
         """Draw and print what was written."""
@@ -195,7 +197,7 @@ class _Render:
         from shepherd_ros.view.picture import draw_tracks
 
         episode = one_episode(self.bag, self.namespace, self.episode)
-        made_folder('--output', self.output)
+        claimed_folder('--output', self.output, 'replay.html', self.overwrite)
         name = f'{self.bag.name}, episode {episode.number}, seed {episode.seed}'
         track = track_of(episode, self.title or name)
         curves = metrics_over_time(states_of(episode), episode.episode_steps)

@@ -12,7 +12,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 from shepherd_ros.arguments import verb_group
-from shepherd_ros.cli.out_folders import made_folder
+from shepherd_ros.cli.out_folders import new_file
 from shepherd_ros.cli.user_error import UserError
 import tyro
 
@@ -121,6 +121,8 @@ class _RandomWeights:
     """File to write, *.safetensors."""
     seed: int = 0
     """Seed of the weights."""
+    overwrite: bool = False
+    """Replace a file that is there."""
 
     def run(self) -> int:
         """Write it."""
@@ -132,7 +134,7 @@ class _RandomWeights:
             raise UserError(
                 f'--output is {self.output}: expected a name that ends in {CHECKPOINT_SUFFIX}'
             )
-        made_folder('--output', self.output.parent)
+        new_file('--output', self.output, self.overwrite)
         torch.manual_seed(self.seed)
         record = {'command': f'shepherd checkpoint random --seed {self.seed}', 'trained': False}
         save_policy(self.output, Policy(PolicyConfig()), record)
@@ -148,13 +150,15 @@ class _Export:
     """A file, or the name of a shipped one."""
     output: Annotated[Path, tyro.conf.arg(aliases=['-o'])]
     """File to write, *.pt or *.onnx: frames (n, K, 3, R) m, newest last, to (n, 2) m/s."""
+    overwrite: bool = False
+    """Replace a file that is there."""
 
     def run(self) -> int:
         """Write it."""
         from shepherd_ros.policy.checkpoint import load_policy
         from shepherd_ros.policy.torchscript import export_actor
 
-        made_folder('--output', self.output.parent)
+        new_file('--output', self.output, self.overwrite)
         difference = export_actor(load_policy(self.checkpoint), self.output)
         if difference > EXPORT_TOLERANCE:
             raise UserError(

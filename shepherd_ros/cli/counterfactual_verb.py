@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+import shutil
 from typing import Annotated
 
 from rich.progress import Progress
 from shepherd_ros.cli.bag_verbs import one_episode
 from shepherd_ros.cli.controllers import chosen
-from shepherd_ros.cli.out_folders import made_folder
+from shepherd_ros.cli.out_folders import claimed_folder
 from shepherd_ros.cli.user_error import UserError
 import tyro
 
@@ -43,12 +44,15 @@ class Counterfactual:
     """Which episode of the bag, counted from 0."""
     namespace: str | None = None
     """Namespace of the stack, if the bag has several."""
+    overwrite: bool = False
+    """Replace the bag, the pictures and the table that are in the folder."""
 
     def run(self) -> int:
         """Drive on, write and draw; return the exit code."""
         from shepherd_ros.recordings.counterfactual import metrics_table, record_future
         from shepherd_ros.recordings.episodes import iter_episodes
         from shepherd_ros.recordings.replay import track_of
+        from shepherd_ros.rosbag2.metadata import FILE
         from shepherd_ros.rosbag2.reader import open_bag
         from shepherd_ros.sim.world import WorldConfig
         from shepherd_ros.view.animation import animate
@@ -59,8 +63,10 @@ class Counterfactual:
         recorded = one_episode(self.bag, self.namespace, self.episode)
         at = self._step(stamps := [frame.stamp_ns * 1e-9 for frame in recorded.frames])
         controller = asked.make(WorldConfig.from_dict(recorded.world))
-        made_folder('--out', self.out)
+        claimed_folder('--out', self.out, '', self.overwrite)
         folder = self.out / 'bag'
+        if self.overwrite and (folder / FILE).exists():
+            shutil.rmtree(folder)
         with Progress(transient=True) as progress:
             task = progress.add_task('driving on', total=recorded.episode_steps + 1)
             same = record_future(

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from shepherd_ros.bringup import Process, stack_in
-from shepherd_ros.cli.out_folders import made_folder
+from shepherd_ros.cli.out_folders import claimed_folder
 from shepherd_ros.cli.processes import isolate, Running, running
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.experiments.setting_arguments import OneSetting
@@ -42,6 +42,8 @@ class Demo(OneSetting):
     """Folder for picture, animation and logs."""
     animation: str = 'gif'
     """Form of the animation: gif, mp4 or none."""
+    overwrite: bool = False
+    """Write into a folder that holds something else."""
 
     def run(self) -> int:
         """Run the demo; return the exit code."""
@@ -55,7 +57,7 @@ class Demo(OneSetting):
             episodes=1,
             wait_for_scans=True,
         )
-        made_folder('--out', self.out)
+        claimed_folder('--out', self.out, 'logs/*.log', self.overwrite)
         isolate(os.environ)
         console = Console()
         console.print(

@@ -8,7 +8,7 @@ from typing import Annotated, Any, TYPE_CHECKING
 
 from rich.progress import Progress, TimeElapsedColumn, TimeRemainingColumn
 from shepherd_ros.cli.code import commit
-from shepherd_ros.cli.out_folders import made_folder
+from shepherd_ros.cli.out_folders import claimed_folder
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.experiments.setting_arguments import ManySettings
 import tyro
@@ -55,6 +55,8 @@ class Evaluate(ManySettings):
     """Named setting of time step and flock, instead of default."""
     out: Path = Path('out/rows')
     """Folder of the rows; <experiment>.md in it is a table of what it has."""
+    overwrite: bool = False
+    """Write into a folder that holds something else."""
 
     def run(self) -> int:
         """Run what is missing; return the exit code."""
@@ -73,7 +75,7 @@ class Evaluate(ManySettings):
             for task in plan(e.settings, e.controllers, self.seed, e.episodes)
         }
         mine = shard_of(list(tasks.values()), self.shard or f'{rank() + 1}/{ranks()}')
-        made_folder('--out', self.out)
+        claimed_folder('--out', self.out, '*.parquet *.md', self.overwrite)
         rows = results_in(self.out)
         wait_for_all()  # a file that is read is not replaced meanwhile
         there = done_of(mine, rows)

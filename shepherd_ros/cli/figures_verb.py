@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TYPE_CHECKING
 
-from shepherd_ros.cli.out_folders import made_folder
+from shepherd_ros.cli.out_folders import claimed_folder
 from shepherd_ros.cli.user_error import UserError
 import tyro
 
@@ -39,6 +39,8 @@ class Figures:
     """Also write README.md with a verdict on each statement of the paper, and summary.csv."""
     command: str = 'shepherd figures'
     """What the page says it was made by."""
+    overwrite: bool = False
+    """Write into a folder that holds something else."""
 
     def run(self) -> int:
         """Draw all; return the exit code."""
@@ -52,7 +54,7 @@ class Figures:
         from shepherd_ros.paper.verdicts import has_critic
         import torch
 
-        made_folder('--out', self.out)
+        claimed_folder('--out', self.out, '*.svg', self.overwrite)
         torch.set_num_threads(1)
         if not self.rows:
             raise UserError('figures needs rows: expected files or folders of shepherd evaluate')

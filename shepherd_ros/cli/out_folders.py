@@ -24,6 +24,37 @@ def made_folder(option: str, folder: Path) -> None:
         raise UserError(f'{option} is {folder}: expected a folder that can be written')
 
 
+def claimed_folder(option: str, folder: Path, marks: str, overwrite: bool | None = None) -> None:
+    """
+    Make a folder that a verb writes into; UserError if others have written into it.
+
+    marks are patterns, with spaces between them, of files that tell a folder of this verb. None:
+    the verb has no --overwrite.
+    """
+    made_folder(option, folder)
+    there = sorted(path.name for path in folder.iterdir() if path.name[0] != '.')
+    own = any(next(folder.glob(mark), None) for mark in marks.split())
+    if there and not (own or overwrite):
+        more = '' if overwrite is None else '; --overwrite writes beside what is there'
+        again = ', or one that was written by the same command' if marks else ''
+        raise UserError(
+            f'{option} is {folder}, which holds something else, such as {there[0]}: expected a '
+            f'new folder{again}{more}'
+        )
+
+
+def new_file(option: str, path: Path, overwrite: bool) -> None:
+    """Make the folder of a file; UserError if the file is there already."""
+    made_folder(option, path.parent)
+    if path.is_dir():
+        raise UserError(f'{option} is {path}, a folder: expected the name of a file')
+    if path.exists() and not overwrite:
+        raise UserError(
+            f'{option} is {path}, which is there already: expected a new file; --overwrite '
+            'replaces it'
+        )
+
+
 def own_folder(folder: Path, made_by: Mapping[str, Any], resume: bool, overwrite: bool) -> None:
     """
     Make the folder of episodes that made_by describes; UserError if it holds something else.

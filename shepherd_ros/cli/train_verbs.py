@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from shepherd_ros import __version__
 from shepherd_ros.arguments import arguments_of, configured
 from shepherd_ros.cli.code import commit
-from shepherd_ros.cli.out_folders import made_folder
+from shepherd_ros.cli.out_folders import claimed_folder
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.config import Config
 from shepherd_ros.learning.dagger import train_dagger
@@ -178,7 +178,8 @@ def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
             **({'bags': [str(place) for place in arguments.bags]} if kind is BCConfig else {}),
         },
     }
-    made_folder('--out', arguments.out)
+    if rank() == 0:
+        claimed_folder('--out', arguments.out, 'run.json lock')
     run = RunFolder(arguments.out, record)
     bags = [arguments.bags] if kind is BCConfig else []
     result = train(policy, *bags, config, run, show)

@@ -2,10 +2,12 @@
 
 import json
 from pathlib import Path
+import re
 import sys
 from typing import Any
 
 import pytest
+from rosbag2.tiny import tiny_bag
 from shepherd_ros import __version__
 from shepherd_ros.cli import main
 from shepherd_ros.nodes import executables
@@ -71,3 +73,54 @@ def test_episodes_of_other_options_do_not_go_into_the_same_folder(
     assert main([*words, '--controller', 'policy:general', '--overwrite']) == 0
     made_by = json.loads((tmp_path / '.made_by.json').read_text())
     assert made_by['controller'] == 'policy:general'
+
+
+@pytest.mark.parametrize(
+    'words',
+    [
+        ['demo', '--steps', '10', '--out', '{}'],
+        ['train', 'dagger', '--quick', '--out', '{}'],
+        ['evaluate', '--quick', '--out', '{}'],
+        ['figures', 'rows', '--out', '{}'],
+        ['bag', 'render', '{bag}', '-o', '{}'],
+        ['counterfactual', '{bag}', '--at', '1', '--out', '{}'],
+        ['dataset', 'build', '{bag}', '--out', '{}'],
+        ['bag', 'recover', '{bag}', '-o', '{}'],
+        ['checkpoint', 'random', '-o', '{}/notes.safetensors'],
+        ['checkpoint', 'export', 'imitation', '-o', '{}/notes.pt'],
+        ['search', '--candidates', '1', '--out', '{}/notes.pt'],
+    ],
+    ids=lambda words: ' '.join(words[:2]),
+)
+def test_what_others_have_written_stays(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag, out = tiny_bag(tmp_path / 'bag'), tmp_path / 'out'
+    out.mkdir()
+    for name in ('notes.safetensors', 'notes.pt'):
+        (out / name).write_text('mine')
+    assert main([word.format(out, bag=bag) for word in words]) == 2
+    said = capsys.readouterr().err
+    assert str(out) in said
+    assert re.search('which holds something else|already|is no candidate', said)
+    assert sorted(path.name for path in out.iterdir()) == ['notes.pt', 'notes.safetensors']
+    assert {path.read_text() for path in out.iterdir()} == {'mine'}
+
+
+def test_a_verb_writes_again_where_it_has_written_and_beside_others_if_it_may(
+    tmp_path: Path,
+) -> None:
+    bag, out = tiny_bag(tmp_path / 'bag'), tmp_path / 'out'
+    render = ['bag', 'render', str(bag), '-o', str(out)]
+    assert main(render) == 0
+    (out / 'notes').touch()
+    assert main(render) == 0
+    (out / 'replay.html').unlink()
+    assert main(render) == 2
+    assert main([*render, '--overwrite']) == 0
+    assert {path.name for path in out.iterdir()} == {
+        'notes', 'tracks.png', 'herding.gif', 'replay.html'
+    }  # fmt: skip
+    file = tmp_path / 'some.safetensors'
+    random = ['checkpoint', 'random', '-o', str(file)]
+    assert [main(random), main(random), main([*random, '--overwrite'])] == [0, 2, 0]

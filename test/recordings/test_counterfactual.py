@@ -179,7 +179,10 @@ def test_the_verb_tells_that_the_recorded_controller_goes_on(
         (['--at', '1', '-p', 'lead:=1.0'], "parameter of strombom is 'lead'"),
         (['--at', '1', '--episode', '2'], '--episode is 2: expected an episode with states'),
         (['--at', '1', '-o', '{file}/x'], '--out is {file}/x: expected a folder'),
-        (['--at', '1', '-o', '{there}'], '{there}/bag: it exists already; choose another folder'),
+        (
+            ['--at', '1', '-o', '{there}'],
+            '{there}, which holds something else, such as bag: expected a new folder',
+        ),
     ],
 )
 def test_a_mistake_is_named(
