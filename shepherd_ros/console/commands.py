@@ -13,6 +13,7 @@ from shepherd_ros.sim.limits import MAX_FLOAT32, MAX_SEED, MAX_SHEPHERDS
 MAX_TEXT = 200  # characters of a name that a page gives
 MAX_SPEED = 1e3  # [m/s] of a velocity that a page gives
 MAX_RATE = 10_000.0  # [1/s] steps per second
+MAX_NUMBER = 2**53  # of a command, which JavaScript counts
 ALL = -1  # stands for all shepherds, or for none
 
 
@@ -50,6 +51,15 @@ class ConsoleCommand:
     name: str
     values: Mapping[str, Any]
     number: int | None = None  # which the answer repeats
+
+
+class CommandError(ConfigError):
+    """A text that is no command, with the number that it has given itself."""
+
+    def __init__(self, text: str, number: int | None = None) -> None:
+        """Take what is wrong."""
+        super().__init__(text)
+        self.number = number
 
 
 def _shepherd(doc: str, optional: bool = False) -> CommandField:
@@ -148,25 +158,26 @@ COMMAND_KINDS: dict[str, CommandKind] = {
 
 
 def parse_command(text: str | bytes) -> ConsoleCommand:
-    """Return the command of a text, or raise ConfigError that says what is wrong with it."""
-    if isinstance(text, bytes):
-        raise ConfigError(f'a message of {len(text)} bytes: expected a JSON text')
+    """Return the command of a text, or raise CommandError that says what is wrong with it."""
+    number = None
     try:
+        if isinstance(text, bytes):
+            raise ConfigError(f'a message of {len(text)} bytes: expected a JSON text')
         data = dict(mapping('command', json.loads(text)))
-    except ConfigError:
-        raise
+        given = data.pop('id', None)
+        if given is not None:
+            number = checked('id', given, 0, {'low': 0, 'high': MAX_NUMBER})
+        name = data.pop('do', None)
+        if not isinstance(name, str) or name not in COMMAND_KINDS:
+            raise unknown_name('do', name, list(COMMAND_KINDS))
+        return ConsoleCommand(name, _fields_of(name, data), number)
+    except ConfigError as error:
+        raise CommandError(str(error), number) from None
     except (ValueError, RecursionError) as error:
-        raise ConfigError(
+        raise CommandError(
             f'command {text[:60]!r} cannot be read ({error!r:.80}): expected JSON such as '
             '{"do": "pause"}'
         ) from None
-    number = data.pop('id', None)
-    if number is not None:
-        number = checked('id', number, 0, {'low': 0, 'high': 2**53})
-    name = data.pop('do', None)
-    if not isinstance(name, str) or name not in COMMAND_KINDS:
-        raise unknown_name('do', name, list(COMMAND_KINDS))
-    return ConsoleCommand(name, _fields_of(name, data), number)
 
 
 def _fields_of(name: str, data: Mapping[str, Any]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import time
 from typing import Any, Protocol
 
 from shepherd_ros import __version__
-from shepherd_ros.console.commands import COMMAND_KINDS, ConsoleCommand
+from shepherd_ros.console.commands import ALL, COMMAND_KINDS, ConsoleCommand
 from shepherd_ros.console.drives import DEAD_MAN, Drives
 from shepherd_ros.console.messages import text_of
 from shepherd_ros.console.sessions import Session
@@ -60,6 +60,9 @@ class ConsoleDesk:
             'release': self._release,
             'blur': self._release,
         }
+        self.results: Callable[[str], str | None] = lambda name: None
+        self.on_open: list[Callable[[Session], None]] = []
+        self.on_close: list[Callable[[Session], None]] = []
         self._watching = False
 
     # ---- what pages are told ----
@@ -67,26 +70,7 @@ class ConsoleDesk:
     def opened(self, session: Session) -> None:
         """Tell a new page all that is latched, and the last state."""
         self.sessions[session.number] = session
-        channels = [CHANNELS[name] for name in PAPER_CHANNELS]
-        session.tell(
-            'hello',
-            text_of(
-                'hello',
-                protocol=PROTOCOL,
-                version=__version__,
-                page=session.number,
-                dead_man=DEAD_MAN,
-                channels=[{'name': c.name, 'color': c.color, 'hit': c.hit} for c in channels],
-                commands={
-                    name: {
-                        'doc': kind.doc,
-                        'fields': {key: about.about() for key, about in kind.fields.items()},
-                    }
-                    for name, kind in COMMAND_KINDS.items()
-                },
-                **self.about,
-            ),
-        )
+        session.tell('hello', self._hello(session))
         for key, text in self.latched.items():
             session.tell(key, text)
         curves = self.graph.curves()
@@ -94,6 +78,35 @@ class ConsoleDesk:
             session.tell('curves', text_of('curves', **curves))
         self._show_to(session)
         self._tell_pages()
+        for hear in self.on_open:
+            hear(session)
+
+    def _hello(self, session: Session) -> str:
+        """Return the first message of a page."""
+        channels = [CHANNELS[name] for name in PAPER_CHANNELS]
+        commands = {
+            name: {
+                'doc': kind.doc,
+                'fields': {key: about.about() for key, about in kind.fields.items()},
+            }
+            for name, kind in COMMAND_KINDS.items()
+        }
+        return text_of(
+            'hello',
+            protocol=PROTOCOL,
+            version=__version__,
+            page=session.number,
+            dead_man=DEAD_MAN,
+            channels=[{'name': c.name, 'color': c.color, 'hit': c.hit} for c in channels],
+            commands=commands,
+            **self.about,
+        )
+
+    def describe(self, **about: Any) -> None:
+        """Tell pages more of what message `hello` says."""
+        self.about |= about
+        for session in self.sessions.values():
+            session.tell('hello', self._hello(session))
 
     def closed(self, session: Session) -> None:
         """Forget a page; what it drives stops."""
@@ -101,8 +114,10 @@ class ConsoleDesk:
         self.drives.release(session.number)
         self._hear_watched()
         self._tell_pages()
+        for hear in self.on_close:
+            hear(session)
 
-    def tell(self, kind: str, **content: Any) -> None:
+    def tell(self, kind: str, /, **content: Any) -> None:
         """Tell all pages, and those that open later."""
         text = text_of(kind, **content)
         if self.latched.get(kind) != text:
@@ -144,6 +159,10 @@ class ConsoleDesk:
         def answer(ok: bool, text: str) -> None:
             session.answer(id=command.number, ok=ok, text=text)
 
+        if command.name == 'driver':  # whoever drives by hand lets go
+            shepherd = command.values['shepherd']
+            if self.drives.drop(None if shepherd == ALL else shepherd):
+                self._tell_pages()
         if command.name in self.own:
             self.own[command.name](session, answer, **command.values)
         else:
@@ -151,7 +170,7 @@ class ConsoleDesk:
 
     def file(self, name: str) -> str | None:
         """Return the path of a result with a name, None if there is none."""
-        return None
+        return self.results(name)
 
     def _ack(self, session: Session, answer: Answer, frame: int) -> None:
         session.acknowledge(frame)

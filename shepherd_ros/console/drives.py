@@ -55,6 +55,10 @@ class Drives:
         mine = [h for h, hold in self.holds.items() if hold.page == page]
         return self._stop([h for h in mine if shepherd in (None, h)])
 
+    def drop(self, shepherd: int | None) -> bool:
+        """Stop one shepherd or all, whatever page drives it, and give it back; return if any."""
+        return self._stop([h for h in self.holds if shepherd in (None, h)])
+
     def expire(self, now: float) -> bool:
         """Stop and give back what has had no command for too long; return if any."""
         return self._stop([h for h, hold in self.holds.items() if now - hold.heard > DEAD_MAN])

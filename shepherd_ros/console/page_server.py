@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 import socket
 from threading import Event, Thread
@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from shepherd_ros.config import ConfigError
 from shepherd_ros.console.access import Access
-from shepherd_ros.console.commands import ConsoleCommand, parse_command
+from shepherd_ros.console.commands import CommandError, ConsoleCommand, parse_command
 from shepherd_ros.console.sessions import Session
 from shepherd_ros.view.assets import asset, MEDIA_TYPES
 from tornado.httpserver import HTTPServer
@@ -21,8 +21,9 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 LONGEST_MESSAGE = 64 * 1024  # [bytes] of a page; a longer one closes it
 SEND_BUFFER = 128 * 1024  # [bytes] in the kernel for each page: what waits there is out of date
-PING_INTERVAL = 10.0  # [s] between two pings; a page that answers none is closed
-START_TIMEOUT = 10.0  # [s] for the server to listen, and to end
+PING_INTERVAL = 30.0  # [s] between two pings; a page that answers none is closed
+START_TIMEOUT = 10.0  # [s] for the server to listen
+SERVER_END_TIMEOUT = 30.0  # [s] for the server to end, a recording included
 CHUNK = 256 * 1024  # [bytes] of a file that are sent at once
 PAGE = 'console.html'
 HEADERS = {
@@ -111,6 +112,7 @@ class _Socket(WebSocketHandler, _Guarded):
         self.session = Session(self._send)
         self.settings['desk'].opened(self.session)
         self.pump = asyncio.create_task(self._pump())
+        self.settings['sockets'].add(self)
 
     async def _send(self, content: str | bytes) -> None:
         await self.write_message(content, binary=isinstance(content, bytes))
@@ -121,29 +123,47 @@ class _Socket(WebSocketHandler, _Guarded):
             self.close(1008, 'too many commands')
 
     def on_message(self, message: str | bytes) -> None:
-        session, desk = self.session, self.settings['desk']
-        number = None
+        session, number = self.session, None
         try:
             command = parse_command(message)
             number = command.number
-            desk.carry_out(session, command)
+            self.settings['desk'].carry_out(session, command)
+        except CommandError as error:
+            session.answer(id=error.number, ok=False, text=str(error))
         except ConfigError as error:
             session.answer(id=number, ok=False, text=str(error))
 
     def on_close(self) -> None:
-        if hasattr(self, 'pump'):
+        if self in self.settings['sockets']:
+            self.settings['sockets'].remove(self)
             self.pump.cancel()
             self.settings['desk'].closed(self.session)
+
+    def end(self) -> None:
+        """Forget the page and close it, as the server ends."""
+        self.on_close()
+        self.close(1001, 'the console ends')
 
 
 class PageServer:
     """Serves a desk on one port until close()."""
 
-    def __init__(self, host: str, port: int, access: Access, desk: Desk) -> None:
-        """Listen on a host and a port, 0 for any; ConfigError if that cannot be."""
-        self.host, self.access = host, access
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        access: Access,
+        desk: Desk,
+        closing: Callable[[], Awaitable[None]],
+    ) -> None:
+        """
+        Listen on a host and a port, 0 for any; ConfigError if that cannot be.
+
+        closing() is awaited in the loop before it ends.
+        """
+        self.host, self.access, self._closing = host, access, closing
         try:
-            sockets = bind_sockets(port, '' if host == '0.0.0.0' else host, reuse_port=False)
+            sockets = bind_sockets(port, host)
         except OSError as error:
             raise ConfigError(
                 f'host is {host!r} and port {port}: expected an address of this machine with a '
@@ -158,6 +178,7 @@ class PageServer:
             ],
             desk=desk,
             access=access,
+            sockets=set(),
             cookie=f'shepherd_console_{self.port}',
             log_function=lambda handler: None,
             websocket_max_message_size=LONGEST_MESSAGE,
@@ -186,6 +207,9 @@ class PageServer:
         self._ready.set()
         await self._end.wait()
         server.stop()
+        for opened in list(self.application.settings['sockets']):
+            opened.end()
+        await self._closing()
         await server.close_all_connections()
 
     def call(self, function: Callable[..., Any], *values: Any) -> None:
@@ -196,4 +220,4 @@ class PageServer:
     def close(self) -> None:
         """Close all pages and end the thread."""
         self.call(self._end.set)
-        self._thread.join(START_TIMEOUT)
+        self._thread.join(SERVER_END_TIMEOUT)

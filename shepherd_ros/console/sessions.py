@@ -40,7 +40,6 @@ class Session:
 
     def tell(self, key: str, text: str) -> None:
         """Send a text in place of the one of that key that still waits."""
-        self._texts.pop(key, None)
         self._texts[key] = text
         self._news.set()
 

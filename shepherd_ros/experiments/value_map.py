@@ -16,6 +16,7 @@ from torch import Tensor
 
 HALF_SIDE = 25.0  # [m] half the side of the plane, as in the paper
 GRID_POINTS = 41  # along each side
+MARGIN = 5.0  # [m] of a map around all bodies
 N_SHEEP = 10
 HIGH_VALUE = 0.8  # threshold of high values, from the lowest (0) to the highest (1)
 BEHIND_COSINE = (
@@ -62,24 +63,46 @@ def value_map(policy: Policy, seed: int = 0) -> ValueMap:
     world = WorldConfig(n_sheep=N_SHEEP, n_shepherds=3, dt=policy.config.dt)
     start = spawn(world, torch.tensor([seed]))
     grid = torch.linspace(-HALF_SIDE, HALF_SIDE, GRID_POINTS)
-    places = torch.stack(torch.meshgrid(grid, grid, indexing='xy'), dim=-1).reshape(-1, 2)
-    values = torch.cat([_values(policy, start, part) for part in places.split(256)])
+    values = place_values(policy, start, 2, grid, grid)
     return ValueMap(
-        values.double().reshape(GRID_POINTS, GRID_POINTS).numpy(),
+        values.double().numpy(),
         start.sheep[0].double().numpy(),
         start.shepherds[0, :2].double().numpy(),
         float(start.goal_radius),
     )
 
 
+def places_around(state: WorldState) -> tuple[Tensor, Tensor]:
+    """Return x and y [m] of a square grid around all of a state (1), (GRID_POINTS,) each."""
+    bodies = torch.cat([state.sheep[0], state.shepherds[0], state.goal], dim=0)
+    low, high = bodies.amin(dim=0), bodies.amax(dim=0)
+    half = float((high - low).amax()) / 2 + MARGIN
+    center = (low + high) / 2
+    steps = torch.linspace(-half, half, GRID_POINTS)
+    return center[0] + steps, center[1] + steps
+
+
+def place_values(
+    policy: Policy, state: WorldState, shepherd: int, xs: Tensor, ys: Tensor
+) -> Tensor:
+    """
+    Return the values of a shepherd of a state (1) at places: xs (X,), ys (Y,) m -> (Y, X).
+
+    All frames show the same moment, with the shepherd at each place in turn.
+    """
+    places = torch.stack(torch.meshgrid(xs, ys, indexing='xy'), dim=-1).reshape(-1, 2)
+    parts = [_values(policy, state, shepherd, part) for part in places.split(256)]
+    return torch.cat(parts).reshape(len(ys), len(xs))
+
+
 @torch.no_grad()
-def _values(policy: Policy, start: WorldState, places: Tensor) -> Tensor:
-    """Return the values of a third shepherd at places (n, 2) m, (n,)."""
-    count = len(places)
-    copies = start.world(torch.zeros(count, dtype=torch.int64))
-    shepherds = torch.cat([copies.shepherds[:, :2], places[:, None]], dim=1)
-    third = torch.tensor([2])
-    ranges = scan(replace(copies, shepherds=shepherds), policy.config.lidar, third)[:, 0]
+def _values(policy: Policy, state: WorldState, shepherd: int, places: Tensor) -> Tensor:
+    """Return the values of a shepherd at places (n, 2) m, (n,)."""
+    copies = state.world(torch.zeros(len(places), dtype=torch.int64))
+    shepherds = copies.shepherds.clone()
+    shepherds[:, shepherd] = places
+    which = torch.tensor([shepherd])
+    ranges = scan(replace(copies, shepherds=shepherds), policy.config.lidar, which)[:, 0]
     stack = policy.config.observation.frames
     frames = stack.select(stack.begin(ranges))
     first = policy.first_ray(frames[:, -1])

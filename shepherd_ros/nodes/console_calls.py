@@ -9,7 +9,7 @@ from rclpy.task import Future
 from shepherd_ros.console.page_server import PageServer
 from shepherd_ros.ros.node import ShepherdNode
 
-CALL_TIMEOUT = 5.0  # [s] for an answer
+ANSWER_LIMIT = 5.0  # [s] for an answer
 Done = Callable[[Any, str], None]
 
 
@@ -40,10 +40,10 @@ class ServiceCalls:
         def expire() -> None:
             if waiting:
                 client.remove_pending_request(future)
-                finish(None, f'{client.srv_name} has not answered within {CALL_TIMEOUT:g} s')
+                finish(None, f'{client.srv_name} has not answered within {ANSWER_LIMIT:g} s')
 
         def answered(future: Future) -> None:
             server.call(finish, future.result(), '')
 
         future.add_done_callback(answered)
-        server.loop.call_later(CALL_TIMEOUT, expire)
+        server.loop.call_later(ANSWER_LIMIT, expire)

@@ -8,18 +8,14 @@ import json
 import math
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
-from rclpy.serialization import deserialize_message
 from shepherd_ros.config import ConfigError
 from shepherd_ros.console.frames import NO_DRIVER, NO_SHEPHERD, StateFrame
 from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.ros.polling import PolledGroup, PolledTopic
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
-from shepherd_ros.wire.contract import known
 from shepherd_ros.wire.decode import (
     CdrError,
-    decode_float64,
     decode_pose_stamped,
     decode_poses,
     decode_scan,
@@ -31,23 +27,18 @@ from shepherd_ros.wire.episode import Episode
 from shepherd_ros.wire.topics import (
     EPISODE,
     GOAL,
-    metric_topic,
-    row_of,
     scan_topic,
     SHEEP_POSES,
     SHEPHERD_POSES,
 )
 
 KEPT = 4  # newest messages of a topic, among which one of the same stamp as others is looked for
-FAMILY = metric_topic('').rstrip('/')
-DIAGNOSTICS_KEPT = 64  # messages on /diagnostics between two looks
-SILENT_NODE = 10.0  # [s] after which the report of a node is left out
 Parts = dict[int, bytes]  # newest messages of a topic by stamp [ns]
 
 
 class ConsoleFeed:
     """
-    Newest state, ranges, metrics and reports of a graph.
+    Newest state of a graph, with the ranges of chosen shepherds.
 
     No executor hears its subscriptions: each look takes what has come, so that its cost follows
     the rate of the looks and not that of the world.
@@ -60,12 +51,8 @@ class ConsoleFeed:
         self.halves: dict[str, Parts] = {SHEEP_POSES: {}, SHEPHERD_POSES: {}}
         self.inputs = {name: self._topic(name, depth=KEPT) for name in self.halves}
         self.inputs |= {name: self._topic(name) for name in (EPISODE, GOAL)}
-        self.reports = self._topic('/diagnostics', depth=DIAGNOSTICS_KEPT)
         self.scans: dict[int, dict[str, PolledTopic]] = {}
         self.seen: dict[int, dict[str, Parts]] = {}
-        self.metrics: dict[str, PolledTopic] = {}
-        self.values: dict[str, float] = {}
-        self.statuses: dict[str, tuple[float, dict[str, Any]]] = {}
         self.episode: Episode | None = None
         self.goal: tuple[float, float] | None = None
         self.drivers: list[float] = []  # of each shepherd, index of its source
@@ -104,7 +91,6 @@ class ConsoleFeed:
             episode = Episode.from_json(text)
             if episode != self.episode:
                 self.episode, self.fresh, self.stamp, self.poses = episode, True, -1, None
-                self.values.clear()
                 self.tell('episode', **json.loads(text))
 
     def set_drivers(self, drivers: list[float]) -> None:
@@ -150,6 +136,24 @@ class ConsoleFeed:
             **self._ranges(shepherd, shepherds),
         ).encode()
 
+    def moment(self, shepherd: int) -> dict[str, Any] | None:
+        """Return the newest state as plain data, None without one that has the shepherd."""
+        poses, episode = self.decoded(), self.episode
+        if poses is None or episode is None or self.goal is None:
+            return None
+        sheep, shepherds = poses
+        return (
+            None
+            if shepherd >= len(shepherds.xy)
+            else {
+                'step': self.step,
+                'sheep': sheep.xy.tolist(),
+                'shepherds': shepherds.xy.tolist(),
+                'goal': self.goal,
+                'goal_radius': episode.goal_radius,
+            }
+        )
+
     # ---- lidars ----
 
     def watch(self, shepherds: set[int]) -> None:
@@ -182,53 +186,6 @@ class ConsoleFeed:
                 origin = decode_poses(self.halves[SHEPHERD_POSES][ns]).xy[shepherd]
             return {'lidar': shepherd, 'ranges': ranges, 'origin': tuple(origin.tolist())}
         return {'lidar': NO_SHEPHERD}
-
-    # ---- metrics and reports ----
-
-    def look_for_metrics(self) -> None:
-        """Subscribe to the metrics that are published; in the executor's thread."""
-        space = self.node.get_namespace().rstrip('/')
-        for name, _ in self.node.get_topic_names_and_types():
-            ours = known(name)
-            if ours is None or ours.namespace != space:
-                continue
-            family, _, metric = ours.topic.name.partition('/')
-            if family == FAMILY and metric not in self.metrics:
-                self.metrics[metric] = self._topic(ours.topic.name)
-
-    def metric_names(self) -> list[dict[str, str]]:
-        """Return name, unit and meaning of each metric that is published."""
-        rows = {name: row_of(metric_topic(name)) for name in sorted(self.metrics)}
-        return [{'name': n, 'unit': r.unit, 'meaning': r.meaning} for n, r in rows.items()]
-
-    def hear_metrics(self) -> bool:
-        """Take the newest metrics; return whether there are any."""
-        heard = False
-        for name, topic in list(self.metrics.items()):
-            for raw in topic.take()[-1:]:
-                with suppress(CdrError):
-                    value = decode_float64(raw)
-                    if math.isfinite(value):
-                        self.values[name], heard = value, True
-        return heard
-
-    def hear_reports(self) -> list[dict[str, Any]]:
-        """Return the newest report of each part of each node, sorted by name."""
-        now = self.node.wall()
-        for raw in self.reports.take():
-            for status in deserialize_message(raw, DiagnosticArray).status:
-                self.statuses[status.name] = (
-                    now,
-                    {
-                        'name': status.name,
-                        'level': status.level[0],
-                        'message': status.message,
-                        'values': {item.key: item.value for item in status.values},
-                    },
-                )
-        for name in [n for n, (then, _) in self.statuses.items() if now - then > SILENT_NODE]:
-            del self.statuses[name]
-        return [report for _, (_, report) in sorted(self.statuses.items())]
 
 
 def _keep(parts: Parts, messages: list[bytes]) -> None:

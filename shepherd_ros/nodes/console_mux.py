@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
+import math
 import re
 from typing import Any
 
@@ -26,6 +27,7 @@ from std_srvs.srv import SetBool
 
 OWN_SOURCE = 'console'  # of mux, by which pages drive
 LOCK = 'mux/lock'
+SELECT_TIMEOUT = 1.0  # [s] for mux to say what was selected
 
 
 class DriverRequests:
@@ -44,6 +46,7 @@ class DriverRequests:
         self.sources: list[str] = []
         self.active: list[str] = []
         self.drivers: Drivers | None = None
+        self.asked: dict[int, tuple[float, str]] = {}  # selected by pages, and when [s]
         self.before: dict[int, str] = {}  # what was selected for a shepherd that is driven by hand
         self.headings: dict[int, tuple[float, float]] = {}  # where it looked when it was taken
         self.commands: dict[str, Callable[..., None]] = {
@@ -113,7 +116,15 @@ class DriverRequests:
         who = 'all shepherds' if shepherd == ALL else f'shepherd {shepherd}'
         answer(True, f'{source} is selected for {who}')
 
+    def _selected(self, shepherd: int) -> str:
+        """Return what is selected for a shepherd, which mux may not have said yet."""
+        said = self._known(shepherd).selected[shepherd]
+        then, asked = self.asked.get(shepherd, (-math.inf, said))
+        return asked if self.node.wall() - then < SELECT_TIMEOUT else said
+
     def _select(self, source: str, shepherd: int) -> None:
+        team = range(len(self._known(ALL).drivers)) if shepherd == ALL else [shepherd]
+        self.asked |= dict.fromkeys(team, (self.node.wall(), source))
         text = source if shepherd == ALL else f'{shepherd} {source}'
         self.select_output.publish(encode_text(text))
 
@@ -128,7 +139,7 @@ class DriverRequests:
 
     def take(self, shepherd: int) -> None:
         """Let the console drive a shepherd: by its priority, or in place of what is selected."""
-        selected = self._known(shepherd).selected[shepherd]
+        selected = self._selected(shepherd)
         if shepherd not in self.outputs:
             raise ConfigError(f'shepherd {shepherd} is new: expected one that is known; try again')
         if selected not in (AUTO, OWN_SOURCE):

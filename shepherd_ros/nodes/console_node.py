@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from shepherd_ros.config import ConfigError
 from shepherd_ros.console.access import make_access
+from shepherd_ros.console.archive import Archive
 from shepherd_ros.console.commands import ConsoleCommand
 from shepherd_ros.console.curves import Curves
 from shepherd_ros.console.desk import Answer, ConsoleDesk
+from shepherd_ros.console.live_values import LiveValues
 from shepherd_ros.console.page_server import PageServer
 from shepherd_ros.nodes.console_feed import ConsoleFeed
 from shepherd_ros.nodes.console_mux import DriverRequests
+from shepherd_ros.nodes.console_reports import ConsoleReports
 from shepherd_ros.nodes.console_world import WorldRequests
 from shepherd_ros.ros.node import OK, ShepherdNode
 from shepherd_ros.ros.runtime import run
@@ -46,16 +50,25 @@ class ConsoleNode(ShepherdNode):
         hosts: list[str] = self.option(
             'allowed_hosts', [''], 'other names by which browsers may call this machine'
         )
+        record_dir: str = self.option(
+            'record_dir', 'bags', 'folder of the bags that are recorded, listed and replayed'
+        )
         self.frame_rate: float = self.option(
             'frame_rate', 60.0, 'most frames per second for each page', low=1.0, high=240.0
         )
         self.access = make_access(host, token, hosts)
         self.place = host, port
         self.past = Curves()
-        self.desk = ConsoleDesk(self, {'namespace': self.get_namespace()})
+        folder = Path(record_dir).expanduser().absolute()
+        self.desk = ConsoleDesk(
+            self, {'namespace': self.get_namespace(), 'record_dir': str(folder)}
+        )
         self.feed = ConsoleFeed(self, self.desk.tell)
+        self.reports = ConsoleReports(self, self.feed.group)
         self.world = WorldRequests(self, self.desk.tell)
         self.mux = DriverRequests(self, self.feed, self.feed.group, self.desk.tell)
+        self.archive = Archive(self.desk, folder, self._recorder_words())
+        self.values = LiveValues(self.desk, self.archive.jobs, self.feed.moment)
         self.server: PageServer | None = None
         self.starter = self.timer(0.0, self._start)
         self.timer(REPORT_PERIOD, self.look_for_topics)
@@ -63,11 +76,16 @@ class ConsoleNode(ShepherdNode):
     def _start(self) -> None:
         """Listen: when the node runs, and not when only its help is shown."""
         self.starter.cancel()
-        self.server = PageServer(*self.place, self.access, self.desk)
+        self.server = PageServer(*self.place, self.access, self.desk, self.archive.close)
         self.world.server = self.mux.server = self.server
         for look in (self._look, self._look_at_metrics, self._look_at_reports):
             self.server.call(look)
         self.get_logger().info(f'open {self.server.address}')
+
+    def _recorder_words(self) -> list[str]:
+        """Return the words by which a recorder hears the same graph as this node."""
+        space = self.get_namespace()
+        return ['--ros-args', '-r', '__node:=console_recorder', '-r', f'__ns:={space}']
 
     @property
     def address(self) -> str:
@@ -105,6 +123,7 @@ class ConsoleNode(ShepherdNode):
             self.desk.show()
         if self.feed.episode is not episode:
             self.past.clear()
+            self.reports.values.clear()
             self.in_executor(self.look_for_topics)
             self.world.refresh()
 
@@ -112,21 +131,23 @@ class ConsoleNode(ShepherdNode):
         """Tell the newest metrics."""
         self._again(METRICS_PERIOD, self._look_at_metrics)
         episode, step = self.feed.episode, self.feed.step
-        if self.feed.hear_metrics() and episode is not None and step >= 0:
-            self.desk.tell('metrics', episode=episode.number, step=step, values=self.feed.values)
-            self.past.add(step, self.feed.values)
+        if self.reports.hear_metrics() and episode is not None and step >= 0:
+            self.desk.tell(
+                'metrics', episode=episode.number, step=step, values=self.reports.values
+            )
+            self.past.add(step, self.reports.values)
 
     def _look_at_reports(self) -> None:
         """Tell the reports of all nodes, and what the world is set to."""
         self._again(REPORT_PERIOD, self._look_at_reports)
-        reports = self.feed.hear_reports()
-        self.desk.tell('metric_names', metrics=self.feed.metric_names())
+        reports = self.reports.hear_reports()
+        self.desk.tell('metric_names', metrics=self.reports.metric_names())
         self.desk.tell('diagnostics', reports=reports)
         self.world.look(reports)
 
     def look_for_topics(self) -> None:
         """Find metrics, sources of mux and shepherds that are new; in the executor's thread."""
-        self.feed.look_for_metrics()
+        self.reports.look_for_metrics()
         episode = self.feed.episode
         self.mux.look_for_sources(0 if episode is None else episode.n_shepherds)
 

@@ -93,6 +93,7 @@ class Losses:
         self.publishers = publishers
         self.topics: defaultdict[str, SequenceNumbers] = defaultdict(SequenceNumbers)
         self.drops: Counter[str] = Counter()
+        self.latched: set[str] = set()  # topics whose publishers keep messages for latecomers
         self.repeats: Counter[str] = Counter()  # of what was lost: the same is in the bag
         self.stamps: dict[str, int] = {}  # [ns] of the last message
 
@@ -128,8 +129,17 @@ class Losses:
     def by_topic(self) -> Counter[str]:
         """Return the lost messages by topic, without repeats."""
         names = {*self.topics, *self.drops}
-        lost = {n: max(self.topics[n].missing, self.drops[n]) for n in sorted(names)}
+        lost = {n: max(self.topics[n].missing, self._reported(n)) for n in sorted(names)}
         return Counter(lost) - self.repeats
+
+    def _reported(self, topic: str) -> int:
+        """
+        Return how many DDS reports lost since the first that was heard.
+
+        A latched publisher drops old messages while a latecomer gets them, which DDS reports too.
+        """
+        runs = self.topics[topic].runs if topic in self.latched else []
+        return max(self.drops[topic] - sum(run.first - 1 for run in runs), 0)
 
     def earlier(self) -> Counter[str]:
         """Return the messages by topic that were sent before the first received one."""

@@ -170,6 +170,8 @@ class RecorderSubscriptions:
             ),
         )
         self.inputs[name] = RecordedTopic(kind, reliable, latched, subscription)
+        if latched:
+            self.losses.latched.add(name)
         return self.inputs[name]
 
     def _refuse(self, name: str, why: str) -> None:

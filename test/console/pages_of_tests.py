@@ -5,14 +5,19 @@ from __future__ import annotations
 import asyncio
 from collections import defaultdict
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import count
 import json
 from threading import Thread
 from typing import Any
 
 from shepherd_ros.console.frames import decode_frame, StateFrame
-from tornado.httpclient import HTTPRequest
-from tornado.websocket import websocket_connect, WebSocketClientConnection
+from tornado.httpclient import AsyncHTTPClient, HTTPRequest
+from tornado.websocket import (
+    websocket_connect,
+    WebSocketClientConnection,
+    WebSocketClosedError,
+)
 
 ANSWER = 10.0  # [s]
 
@@ -28,16 +33,31 @@ class TestPage:
         self.frames: list[StateFrame] = []
         self.told: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
         self.order: list[str] = []  # types of messages and 'frame' as they came
-        self.closed = False
+        self.closed = self.gone = False  # by itself, by the server
         self._ids = count(1)
         self.loop = asyncio.new_event_loop()
         self.thread = Thread(target=self.loop.run_forever, daemon=True)
         self.thread.start()
-        self.connection: WebSocketClientConnection = self._wait(self._open())
-        self.reader = asyncio.run_coroutine_threadsafe(self._read(), self.loop) if reads else None
+        self.connection: WebSocketClientConnection = self._wait(self._open)
+        self.reader: Any = None
+        if reads:
+            self.read()
+
+    def read(self) -> None:
+        """Begin to read what comes."""
+        self.reader = asyncio.run_coroutine_threadsafe(self._read(), self.loop)
+
+    def fetch(self, name: str) -> bytes:
+        """Return a file of the server."""
+        base, _, query = self.address.partition('?')
+        url = base + name + (f'?{query}' if query else '')
+        return bytes(self._wait(lambda: AsyncHTTPClient().fetch(url)).body)
 
     def _wait(self, work: Any) -> Any:
-        return asyncio.run_coroutine_threadsafe(work, self.loop).result(ANSWER)
+        async def done() -> Any:
+            return await work()
+
+        return asyncio.run_coroutine_threadsafe(done(), self.loop).result(ANSWER)
 
     async def _open(self) -> WebSocketClientConnection:
         base, _, query = self.address.partition('?')
@@ -46,19 +66,21 @@ class TestPage:
         return await websocket_connect(request)
 
     async def _read(self) -> None:
-        while (message := await self.connection.read_message()) is not None:
-            if isinstance(message, bytes):
-                frame = decode_frame(message)
-                self.frames.append(frame)
-                self.order.append('frame')
-                await self.connection.write_message(
-                    json.dumps({'do': 'ack', 'frame': frame.number})
-                )
-            else:
-                content = json.loads(message)
-                self.told[content['type']].append(content)
-                self.order.append(content['type'])
-        self.closed = True
+        with suppress(WebSocketClosedError):
+            while (message := await self.connection.read_message()) is not None:
+                await self._take(message)
+        self.gone = True
+
+    async def _take(self, message: str | bytes) -> None:
+        if isinstance(message, bytes):
+            frame = decode_frame(message)
+            self.frames.append(frame)
+            self.order.append('frame')
+            await self._send(json.dumps({'do': 'ack', 'frame': frame.number}))
+        else:
+            content = json.loads(message)
+            self.told[content['type']].append(content)
+            self.order.append(content['type'])
 
     def last(self, kind: str) -> dict[str, Any]:
         """Return the newest message of a type, {} before the first."""
@@ -72,7 +94,7 @@ class TestPage:
 
     def send_raw(self, content: str | bytes) -> None:
         """Send any message."""
-        self._wait(self._send(content))
+        self._wait(lambda: self._send(content))
 
     async def _send(self, content: str | bytes) -> None:
         await self.connection.write_message(content, binary=isinstance(content, bytes))
@@ -88,8 +110,11 @@ class TestPage:
 
     def close(self) -> None:
         """Close it and end its thread."""
+        if self.closed:
+            return
         self.loop.call_soon_threadsafe(self.connection.close)
         if self.reader is not None:
             self.reader.result(ANSWER)
         self.loop.call_soon_threadsafe(self.loop.stop)
         self.thread.join()
+        self.closed = True

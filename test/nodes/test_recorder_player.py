@@ -634,6 +634,20 @@ def test_a_loss_is_told_only_where_there_was_one(data: st.DataObject) -> None:
         assert told == gaps
 
 
+def test_what_a_latched_publisher_dropped_before_the_first_that_is_heard_is_not_lost() -> None:
+    losses = Losses(lambda topic: {b'one'})
+    losses.latched.add('/drivers')
+    for topic in ('/drivers', '/poses'):
+        losses.dropped(topic, 2)
+        for number in (41, 42, 43):
+            losses.heard(topic, number)
+    assert losses.by_topic() == {'/poses': 2}
+    losses.heard('/drivers', 45)
+    assert losses.by_topic()['/drivers'] == 1
+    losses.dropped('/drivers', 40)
+    assert losses.by_topic()['/drivers'] == 2
+
+
 def test_what_was_sent_before_the_first_one_heard_is_no_loss_but_told() -> None:
     losses = Losses(lambda topic: {b'one'})
     for number in (4, 5, 1, 2):

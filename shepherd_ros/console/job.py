@@ -1,0 +1,249 @@
+"""
+A job of the console as a process: `python -m shepherd_ros.console.job KIND`.
+
+It reads what is asked as a line of JSON, and writes lines: `done` and `text` on the way, `result`
+or `error` at the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+import json
+import os
+from pathlib import Path
+import secrets
+import sys
+from typing import Any, TYPE_CHECKING
+
+from shepherd_ros.config import ConfigError
+
+if TYPE_CHECKING:
+    from shepherd_ros.recordings.episodes import RecordedEpisode
+    from shepherd_ros.sim.state import WorldState
+
+NICENESS = 10  # below the nodes of the graph
+
+
+def _say(**content: Any) -> None:
+    """Write a line; what is not finite must not be in it."""
+    print(json.dumps(content, allow_nan=False), flush=True)
+
+
+def list_bags(asked: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return what message `bags` tells of each bag in a folder, newest first."""
+    from shepherd_ros.recordings.grouping import announced_episodes, namespaces
+    from shepherd_ros.rosbag2.errors import BagError
+    from shepherd_ros.rosbag2.reader import open_bag
+
+    found = []
+    for path in Path(asked['record_dir']).glob('*'):
+        if path.is_symlink() or not (path.suffix == '.mcap' or any(path.glob('*.mcap'))):
+            continue
+        said: dict[str, Any] = {'name': path.name, 'episodes': [], 'start': path.stat().st_mtime}
+        try:
+            bag = open_bag(path)
+            told = [info for space in namespaces(bag) for _, info in announced_episodes(bag, space)]
+            seen = {(info.number, info.seed): info for info in told}
+            said |= {
+                'size': sum(storage.size for storage in bag.storages),
+                'start': bag.start_ns * 1e-9,
+                'duration': (bag.end_ns - bag.start_ns) * 1e-9,
+                'messages': bag.count,
+                'episodes': [
+                    {
+                        'number': info.number,
+                        'seed': info.seed,
+                        'n_sheep': info.n_sheep,
+                        'n_shepherds': info.n_shepherds,
+                        'steps': info.episode_steps,
+                    }
+                    for info in seen.values()
+                ],
+            }
+        except (BagError, OSError) as error:
+            said['error'] = str(error)
+        found.append(said)
+    return sorted(found, key=lambda bag: -bag['start'])
+
+
+def _episode(path: str, number: int) -> RecordedEpisode:
+    """Return an episode of a bag that has states, or raise ConfigError."""
+    from shepherd_ros.recordings.episodes import iter_episodes
+    from shepherd_ros.recordings.grouping import namespaces
+    from shepherd_ros.rosbag2.reader import open_bag
+
+    bag = open_bag(Path(path))
+    episodes = (e for space in namespaces(bag) for e in iter_episodes(bag, space))
+    count = 0
+    for count, episode in enumerate(episodes, 1):
+        if count - 1 == number:
+            if not episode.frames:
+                raise ConfigError(f'episode {number} has no whole state: expected some')
+            return episode
+    raise ConfigError(f'episode is {number}: expected less than {count}, counted from 0')
+
+
+def _written(episode: RecordedEpisode, title: str, folder: str) -> str:
+    """Write the record of a replay page and return the name of the file."""
+    from shepherd_ros.recordings.replay import metrics_over_time, ranges_of, states_of, track_of
+    from shepherd_ros.sim.metrics import shown
+    from shepherd_ros.view.page import page_record
+
+    curves = metrics_over_time(states_of(episode), episode.episode_steps)
+    record = page_record(
+        track_of(episode, title),
+        {metric.name: curves[metric.name] for metric in shown('page')},
+        {metric.name: metric.unit for metric in shown('page')},
+        ranges_of(episode),
+    )
+    name = f'{secrets.token_hex(12)}.json'
+    Path(folder, name).write_text(json.dumps(record, allow_nan=False), encoding='utf-8')
+    return name
+
+
+def replay(asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Return where the record of an episode is."""
+    _say(done=0.1, text='reading the bag')
+    episode = _episode(asked['path'], asked.get('episode', 0))
+    _say(done=0.5, text='packing the episode')
+    title = f'{asked["bag"]}, episode {episode.number}'
+    return {'tracks': [{'name': title, 'url': _written(episode, title, asked['folder'])}]}
+
+
+def counterfactual(asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Return where the records of an episode and of its other future are."""
+    from shepherd_ros.experiments.methods import full_name, method_in
+    from shepherd_ros.recordings.counterfactual import record_future
+    from shepherd_ros.recordings.episodes import iter_episodes
+    from shepherd_ros.rosbag2.reader import open_bag
+    from shepherd_ros.sim.rollout import EnvConfig
+    from shepherd_ros.sim.world import WorldConfig
+
+    _say(done=0.0, text='reading the bag')
+    recorded = _episode(asked['path'], asked.get('episode', 0))
+    steps = [frame.step for frame in recorded.frames]
+    if asked['step'] not in steps:
+        raise ConfigError(f'step is {asked["step"]}: expected one of {steps[0]} to {steps[-1]}')
+    at = steps.index(asked['step'])
+    config = EnvConfig(world=WorldConfig.from_dict(recorded.world))
+    controller = method_in(config, full_name(asked['controller']))
+    made, total = 0, recorded.episode_steps + 1
+
+    def on_step(worlds: int) -> None:
+        nonlocal made
+        made += worlds
+        if made % max(total // 50, 1) == 0:
+            _say(done=min(0.9, 0.9 * made / total), text=f'{asked["controller"]} drives on')
+
+    folder = Path(asked['folder'], secrets.token_hex(12))
+    record_future(recorded, at, controller, 0.0, folder, on_step)
+    (future,) = iter_episodes(open_bag(folder))
+    return {
+        'tracks': [
+            {'name': 'recorded', 'url': _written(recorded, 'recorded', asked['folder'])},
+            {
+                'name': asked['controller'],
+                'url': _written(future, asked['controller'], asked['folder']),
+            },
+        ],
+        'parting': asked['step'],
+        'table': _table(recorded, future),
+    }
+
+
+def _table(recorded: RecordedEpisode, future: RecordedEpisode) -> list[dict[str, Any]]:
+    """Return the metrics of both after the last step that both have."""
+    from shepherd_ros.recordings.replay import metrics_over_time, states_of
+    from shepherd_ros.sim.metrics import shown
+
+    last = max({f.step for f in recorded.frames} & {f.step for f in future.frames})
+    columns = []
+    for episode in (recorded, future):
+        cut = replace(episode, frames=[f for f in episode.frames if f.step <= last])
+        columns.append(metrics_over_time(states_of(cut), episode.episode_steps))
+    return [
+        {'name': m.name, 'unit': m.unit, 'values': [float(c[m.name][-1]) for c in columns]}
+        for m in shown('page')
+    ]
+
+
+def value_map(asked: Mapping[str, Any]) -> None:
+    """Map each state that comes as a line, until no more come."""
+    import numpy as np
+    from shepherd_ros.experiments.methods import loaded
+    from shepherd_ros.experiments.value_map import place_values, places_around
+    import torch
+
+    torch.set_num_threads(1)
+    policy, h = loaded(asked['checkpoint']), asked['shepherd']
+    _say(text='ready')
+    for line in sys.stdin:
+        moment = json.loads(line)
+        state = _state(moment)
+        xs, ys = places_around(state)
+        values = place_values(policy, state, h, xs, ys).double().numpy()
+        _say(
+            step=moment['step'],
+            x=[float(xs[0]), float(xs[-1])],
+            y=[float(ys[0]), float(ys[-1])],
+            values=np.round(values, 5).tolist(),
+        )
+
+
+def _state(moment: Mapping[str, Any]) -> WorldState:
+    """Return a state of the world, a batch of one."""
+    from shepherd_ros.sim.state import WorldState
+    import torch
+
+    def tensor(name: str) -> torch.Tensor:
+        return torch.tensor(moment[name], dtype=torch.float32)[None]
+
+    sheep, shepherds = tensor('sheep'), tensor('shepherds')
+    return WorldState(
+        seed=torch.zeros(1, dtype=torch.int64),
+        step=torch.tensor([moment['step']]),
+        sheep=sheep,
+        heading=torch.zeros_like(sheep),
+        sheep_mask=torch.ones(sheep.shape[:2], dtype=torch.bool),
+        shepherds=shepherds,
+        shepherd_mask=torch.ones(shepherds.shape[:2], dtype=torch.bool),
+        goal=tensor('goal'),
+        goal_radius=tensor('goal_radius'),
+    )
+
+
+def catalog(asked: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return the controllers and checkpoints that there are."""
+    from shepherd_ros.controllers import CONTROLLERS
+    from shepherd_ros.policy.checkpoint import shipped_checkpoints
+
+    shipped = sorted(shipped_checkpoints())
+    names = sorted(CONTROLLERS.keys() - {'policy'})
+    return {'controllers': names + [f'policy:{name}' for name in shipped], 'checkpoints': shipped}
+
+
+JOB_KINDS: dict[str, Callable[[Mapping[str, Any]], Any]] = {
+    'bags': list_bags,
+    'value_map': value_map,
+    'catalog': catalog,
+    'replay': replay,
+    'counterfactual': counterfactual,
+}
+
+
+def main() -> int:
+    """Do the job that the command line names."""
+    os.nice(NICENESS)
+    asked = json.loads(sys.stdin.readline())
+    try:
+        result = JOB_KINDS[sys.argv[1]](asked)
+        if result is not None:
+            _say(result=result)
+    except (ConfigError, OSError) as error:  # BagError is one of them
+        _say(error=str(error))
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
