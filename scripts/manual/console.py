@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from shepherd_ros.console.commands import COMMAND_KINDS, CommandField
 from shepherd_ros.console.desk import PROTOCOL
-from shepherd_ros.console.frames import BODY_FIELDS, HEADER_BYTES, HEADER_FIELDS
 from shepherd_ros.console.messages import MESSAGE_KINDS
+from shepherd_ros.console.state_frames import BODY_FIELDS, HEADER_BYTES, HEADER_FIELDS
 
 from manual.tables import bounds, code, escaped, page, table
 

@@ -13,7 +13,7 @@ from typing import Any
 from shepherd_ros.config import ConfigError
 from shepherd_ros.console.desk import Answer, ConsoleDesk
 from shepherd_ros.console.jobs import bag_path, Jobs
-from shepherd_ros.console.messages import text_of
+from shepherd_ros.console.messages import message_text
 from shepherd_ros.console.recording import Recording
 from shepherd_ros.console.sessions import Session
 
@@ -120,7 +120,7 @@ class Archive:
             names += [track['url'] for track in line['result']['tracks']]
             self._delete(names[:-FILES_KEPT])
             del names[:-FILES_KEPT]
-        session.tell(f'job {job}', text_of('job', job=job, kind=kind, **said))
+        session.tell(f'job {job}', message_text('job', job=job, kind=kind, **said))
         if said['state'] != 'running':
             self.owners.pop(job, None)
 
@@ -131,5 +131,5 @@ class Archive:
             del self.owners[job]
         self.jobs.cancel(job)
         ended = {'state': 'cancelled', 'done': 0.0, 'text': 'cancelled', 'result': None}
-        session.tell(f'job {job}', text_of('job', job=job, kind='', **ended))
+        session.tell(f'job {job}', message_text('job', job=job, kind='', **ended))
         answer(True, f'job {job} is cancelled')

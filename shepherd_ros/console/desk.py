@@ -10,12 +10,12 @@ from typing import Any, Protocol
 from shepherd_ros import __version__
 from shepherd_ros.console.commands import ALL, COMMAND_KINDS, ConsoleCommand
 from shepherd_ros.console.drives import DEAD_MAN, Drives
-from shepherd_ros.console.messages import text_of
+from shepherd_ros.console.messages import message_text
 from shepherd_ros.console.sessions import Session
 from shepherd_ros.sim.lidar_layout import CHANNELS, PAPER_CHANNELS
 
 PROTOCOL = 1  # version of frames and messages
-WATCH_PERIOD = 0.02  # [s] between two looks at who is silent
+DRIVES_PERIOD = 0.02  # [s] between two looks at who is silent
 Answer = Callable[[bool, str], None]
 
 
@@ -75,7 +75,7 @@ class ConsoleDesk:
             session.tell(key, text)
         curves = self.graph.curves()
         if curves is not None:
-            session.tell('curves', text_of('curves', **curves))
+            session.tell('curves', message_text('curves', **curves))
         self._show_to(session)
         self._tell_pages()
         for hear in self.on_open:
@@ -91,7 +91,7 @@ class ConsoleDesk:
             }
             for name, kind in COMMAND_KINDS.items()
         }
-        return text_of(
+        return message_text(
             'hello',
             protocol=PROTOCOL,
             version=__version__,
@@ -119,7 +119,7 @@ class ConsoleDesk:
 
     def tell(self, kind: str, /, **content: Any) -> None:
         """Tell all pages, and those that open later."""
-        text = text_of(kind, **content)
+        text = message_text(kind, **content)
         if self.latched.get(kind) != text:
             self.latched[kind] = text
             self.say(kind, text)
@@ -195,7 +195,7 @@ class ConsoleDesk:
             answer(True, f'page {session.number} drives shepherd {shepherd}')
             if not self._watching:
                 self._watching = True
-                asyncio.get_running_loop().call_later(WATCH_PERIOD, self._look_at_drives)
+                asyncio.get_running_loop().call_later(DRIVES_PERIOD, self._look_at_drives)
 
     def _release(self, session: Session, answer: Answer, shepherd: int | None = None) -> None:
         if self.drives.release(session.number, shepherd):
@@ -208,4 +208,4 @@ class ConsoleDesk:
             self._tell_pages()
         self._watching = bool(self.drives.holds)
         if self._watching:
-            asyncio.get_running_loop().call_later(WATCH_PERIOD, self._look_at_drives)
+            asyncio.get_running_loop().call_later(DRIVES_PERIOD, self._look_at_drives)

@@ -20,7 +20,6 @@ from shepherd_ros.config import ConfigError
 
 if TYPE_CHECKING:
     from shepherd_ros.recordings.episodes import RecordedEpisode
-    from shepherd_ros.sim.state import WorldState
 
 NICENESS = 10  # below the nodes of the graph
 
@@ -30,7 +29,7 @@ def _say(**content: Any) -> None:
     print(json.dumps(content, allow_nan=False), flush=True)
 
 
-def list_bags(asked: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _list_bags(asked: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return what message `bags` tells of each bag in a folder, newest first."""
     from shepherd_ros.recordings.grouping import announced_episodes, namespaces
     from shepherd_ros.rosbag2.errors import BagError
@@ -43,7 +42,9 @@ def list_bags(asked: Mapping[str, Any]) -> list[dict[str, Any]]:
         said: dict[str, Any] = {'name': path.name, 'episodes': [], 'start': path.stat().st_mtime}
         try:
             bag = open_bag(path)
-            told = [info for space in namespaces(bag) for _, info in announced_episodes(bag, space)]
+            told = [
+                info for space in namespaces(bag) for _, info in announced_episodes(bag, space)
+            ]
             seen = {(info.number, info.seed): info for info in told}
             said |= {
                 'size': sum(storage.size for storage in bag.storages),
@@ -102,7 +103,7 @@ def _written(episode: RecordedEpisode, title: str, folder: str) -> str:
     return name
 
 
-def replay(asked: Mapping[str, Any]) -> dict[str, Any]:
+def _replay(asked: Mapping[str, Any]) -> dict[str, Any]:
     """Return where the record of an episode is."""
     _say(done=0.1, text='reading the bag')
     episode = _episode(asked['path'], asked.get('episode', 0))
@@ -111,7 +112,7 @@ def replay(asked: Mapping[str, Any]) -> dict[str, Any]:
     return {'tracks': [{'name': title, 'url': _written(episode, title, asked['folder'])}]}
 
 
-def counterfactual(asked: Mapping[str, Any]) -> dict[str, Any]:
+def _counterfactual(asked: Mapping[str, Any]) -> dict[str, Any]:
     """Return where the records of an episode and of its other future are."""
     from shepherd_ros.experiments.methods import full_name, method_in
     from shepherd_ros.recordings.counterfactual import record_future
@@ -168,52 +169,7 @@ def _table(recorded: RecordedEpisode, future: RecordedEpisode) -> list[dict[str,
     ]
 
 
-def value_map(asked: Mapping[str, Any]) -> None:
-    """Map each state that comes as a line, until no more come."""
-    import numpy as np
-    from shepherd_ros.experiments.methods import loaded
-    from shepherd_ros.experiments.value_map import place_values, places_around
-    import torch
-
-    torch.set_num_threads(1)
-    policy, h = loaded(asked['checkpoint']), asked['shepherd']
-    _say(text='ready')
-    for line in sys.stdin:
-        moment = json.loads(line)
-        state = _state(moment)
-        xs, ys = places_around(state)
-        values = place_values(policy, state, h, xs, ys).double().numpy()
-        _say(
-            step=moment['step'],
-            x=[float(xs[0]), float(xs[-1])],
-            y=[float(ys[0]), float(ys[-1])],
-            values=np.round(values, 5).tolist(),
-        )
-
-
-def _state(moment: Mapping[str, Any]) -> WorldState:
-    """Return a state of the world, a batch of one."""
-    from shepherd_ros.sim.state import WorldState
-    import torch
-
-    def tensor(name: str) -> torch.Tensor:
-        return torch.tensor(moment[name], dtype=torch.float32)[None]
-
-    sheep, shepherds = tensor('sheep'), tensor('shepherds')
-    return WorldState(
-        seed=torch.zeros(1, dtype=torch.int64),
-        step=torch.tensor([moment['step']]),
-        sheep=sheep,
-        heading=torch.zeros_like(sheep),
-        sheep_mask=torch.ones(sheep.shape[:2], dtype=torch.bool),
-        shepherds=shepherds,
-        shepherd_mask=torch.ones(shepherds.shape[:2], dtype=torch.bool),
-        goal=tensor('goal'),
-        goal_radius=tensor('goal_radius'),
-    )
-
-
-def catalog(asked: Mapping[str, Any]) -> dict[str, list[str]]:
+def _catalog(asked: Mapping[str, Any]) -> dict[str, list[str]]:
     """Return the controllers and checkpoints that there are."""
     from shepherd_ros.controllers import CONTROLLERS
     from shepherd_ros.policy.checkpoint import shipped_checkpoints
@@ -223,12 +179,19 @@ def catalog(asked: Mapping[str, Any]) -> dict[str, list[str]]:
     return {'controllers': names + [f'policy:{name}' for name in shipped], 'checkpoints': shipped}
 
 
+def _map_values(asked: Mapping[str, Any]) -> None:
+    """Map the values of each state that comes as a line."""
+    from shepherd_ros.console.job_values import map_states
+
+    map_states(asked, _say)
+
+
 JOB_KINDS: dict[str, Callable[[Mapping[str, Any]], Any]] = {
-    'bags': list_bags,
-    'value_map': value_map,
-    'catalog': catalog,
-    'replay': replay,
-    'counterfactual': counterfactual,
+    'bags': _list_bags,
+    'catalog': _catalog,
+    'counterfactual': _counterfactual,
+    'replay': _replay,
+    'value_map': _map_values,
 }
 
 

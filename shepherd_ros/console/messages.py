@@ -162,6 +162,6 @@ MESSAGE_KINDS: dict[str, MessageKind] = {
 }
 
 
-def text_of(kind: str, /, **content: Any) -> str:
+def message_text(kind: str, /, **content: Any) -> str:
     """Return a message as JSON; ValueError for what is not finite."""
     return json.dumps({'type': kind, **content}, allow_nan=False)

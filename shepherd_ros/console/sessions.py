@@ -8,8 +8,8 @@ from itertools import count
 from typing import Any
 
 from shepherd_ros.console.commands import ALL
-from shepherd_ros.console.frames import numbered
-from shepherd_ros.console.messages import text_of
+from shepherd_ros.console.messages import message_text
+from shepherd_ros.console.state_frames import numbered
 
 MOST_TEXTS = 256  # that may wait for a page before it is closed
 FRAMES_UNDERWAY = 2  # frames that a page may have got and not yet drawn
@@ -47,7 +47,7 @@ class Session:
         """Send an answer to a command."""
         self.overrun = self.overrun or len(self._texts) >= MOST_TEXTS  # it asks and does not read
         if not self.overrun:
-            self._texts[f'answer {next(self._answers)}'] = text_of('answer', **content)
+            self._texts[f'answer {next(self._answers)}'] = message_text('answer', **content)
         self._news.set()
 
     def show(self, frame: bytes) -> None:

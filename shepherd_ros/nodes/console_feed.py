@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from shepherd_ros.config import ConfigError
-from shepherd_ros.console.frames import NO_DRIVER, NO_SHEPHERD, StateFrame
+from shepherd_ros.console.state_frames import NO_DRIVER, NO_SHEPHERD, StateFrame
 from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.ros.polling import PolledGroup, PolledTopic
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS

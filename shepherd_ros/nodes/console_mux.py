@@ -11,8 +11,8 @@ from typing import Any
 from shepherd_ros.config import ConfigError, unknown_name
 from shepherd_ros.console.commands import ALL, ConsoleCommand
 from shepherd_ros.console.desk import Answer
-from shepherd_ros.console.frames import NO_DRIVER
 from shepherd_ros.console.page_server import PageServer
+from shepherd_ros.console.state_frames import NO_DRIVER
 from shepherd_ros.nodes.command_mux import AUTO
 from shepherd_ros.nodes.console_calls import ServiceCalls
 from shepherd_ros.nodes.console_feed import ConsoleFeed

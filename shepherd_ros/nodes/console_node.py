@@ -11,9 +11,9 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.console.access import make_access
 from shepherd_ros.console.archive import Archive
 from shepherd_ros.console.commands import ConsoleCommand
-from shepherd_ros.console.curves import Curves
 from shepherd_ros.console.desk import Answer, ConsoleDesk
 from shepherd_ros.console.live_values import LiveValues
+from shepherd_ros.console.metric_history import Curves
 from shepherd_ros.console.page_server import PageServer
 from shepherd_ros.nodes.console_feed import ConsoleFeed
 from shepherd_ros.nodes.console_mux import DriverRequests

@@ -58,9 +58,8 @@ class FlockSim(ShepherdNode):
         self.patience: float = self.option(
             'silence_warning', 2.0, 'lockstep: name a silent shepherd after [s]', low=0.1
         )
-        self.number = -1
+        self.number, self.now_ns = -1, 0
         self.dt_ns = round(self.world.dt * 1e9)
-        self.now_ns = 0
         self.pending_goal: Tensor | None = None
         self.last_published = 0.0
         self.pacing = Pacing(self.wall())
@@ -165,11 +164,10 @@ class FlockSim(ShepherdNode):
         paced = self.mode == 'realtime' or self.rate > 0
         self.pacing.limited = self.pacing.held = paced and self.mode == 'lockstep'
         self.ticker.timer_period_ns = round(self.period * 1e9)
-        if not paced:
-            self.ticker.cancel()
-            self.resume()
-        elif self.ticker.is_canceled():
+        if paced:
             self.ticker.reset()
+        else:
+            self.ticker.cancel()
 
     def resume(self) -> None:
         """Go on after a pause was lifted or steps were asked for."""
@@ -231,13 +229,14 @@ class FlockSim(ShepherdNode):
             elif parameter.name == 'rate':
                 self.rate = parameter.value
                 self.keep_pace()
+                self.resume()
             elif parameter.name == 'preset':
                 self.world_parameters.take(parameter.value)
 
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return the diagnostics of the episode and of the commands."""
-        expected = 1 / self.period if self.mode == 'realtime' else 0.0
-        rate, fault = self.pacing.report(self.wall(), expected)
+        due = 1 / self.period if self.mode == 'realtime' else 0.0
+        rate, fault = self.pacing.report(self.wall(), due)
         episode = self.status(
             'episode', WARN if fault else OK, fault or 'running', episode=self.number,
             seed=self.episode.seed, step=int(self.state.step), steps_per_second=round(rate, 1),

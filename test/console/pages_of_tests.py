@@ -11,7 +11,7 @@ import json
 from threading import Thread
 from typing import Any
 
-from shepherd_ros.console.frames import decode_frame, StateFrame
+from shepherd_ros.console.state_frames import decode_frame, StateFrame
 from tornado.httpclient import AsyncHTTPClient, HTTPRequest
 from tornado.websocket import (
     websocket_connect,

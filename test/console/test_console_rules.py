@@ -15,11 +15,11 @@ import pytest
 from shepherd_ros.config import ConfigError
 from shepherd_ros.console.access import make_access
 from shepherd_ros.console.commands import COMMAND_KINDS, CommandError, parse_command
-from shepherd_ros.console.curves import Curves, MOST_POINTS
 from shepherd_ros.console.drives import DEAD_MAN, Drives
-from shepherd_ros.console.frames import NUMBER_OFFSET
 from shepherd_ros.console.jobs import bag_path
+from shepherd_ros.console.metric_history import Curves, MOST_POINTS
 from shepherd_ros.console.sessions import MOST_TEXTS, Session
+from shepherd_ros.console.state_frames import NUMBER_OFFSET
 
 # --- access -------------------------------------------------------------------------------------
 

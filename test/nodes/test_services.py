@@ -112,6 +112,28 @@ def test_parameters_of_the_world_hold_from_the_next_episode_on(graph: Graph, sim
     assert torch.equal(track.sheep(first), spawn(world, torch.tensor(5)).sheep)
 
 
+def test_another_time_step_holds_from_the_next_episode_on_and_begins_only_one(
+    graph: Graph,
+) -> None:
+    sim = graph.host('flock_sim', n_sheep=5, n_shepherds=1, episode_steps=40, rate=100.0)
+    graph.host('idle')
+    graph.until(lambda: int(sim.state.step) > 2, 'the world moves')
+    told = graph.collect('episode', String, LATCHED)
+    graph.set_parameter('flock_sim', 'dt', 0.25)
+    graph.set_parameter('flock_sim', 'rate', 0.0)
+    episodes: dict[int, Episode] = {}
+
+    def heard() -> bool:
+        for episode in (Episode.from_json(message.data) for message in told):
+            episodes[episode.number] = episode
+        return 3 in episodes
+
+    graph.until(heard, 'some episodes')
+    assert [episodes[k].dt for k in range(4)] == [0.5, 0.25, 0.25, 0.25]
+    starts = [episodes[k].start_ns for k in range(4)]
+    assert starts[2] - starts[1] == starts[3] - starts[2] == 41 * 250_000_000
+
+
 def test_another_preset_changes_what_has_the_default_of_the_one_before(
     graph: Graph, sim: Any
 ) -> None:

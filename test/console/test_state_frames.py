@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from shepherd_ros.console.frames import decode_frame, HEADER_BYTES, numbered, StateFrame
+from shepherd_ros.console.state_frames import decode_frame, HEADER_BYTES, numbered, StateFrame
 
 
 def frame_of(n: int, h: int, c: int, r: int, **others: object) -> StateFrame:
