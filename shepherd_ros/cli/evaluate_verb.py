@@ -64,7 +64,7 @@ class Evaluate(ManySettings):
         from shepherd_ros.experiments.catalog import experiments
         from shepherd_ros.experiments.cells import Cell
         from shepherd_ros.experiments.results import results_in
-        from shepherd_ros.learning.distributed import rank, ranks, wait_for_all
+        from shepherd_ros.learning.distributed import barrier, rank, ranks
 
         if self.workers < 1:
             raise UserError(f'--workers is {self.workers}: expected at least 1')
@@ -77,7 +77,7 @@ class Evaluate(ManySettings):
         mine = shard_of(list(tasks.values()), self.shard or f'{rank() + 1}/{ranks()}')
         claimed_folder('--out', self.out, '*.parquet *.md', self.overwrite)
         rows = results_in(self.out)
-        wait_for_all()  # a file that is read is not replaced meanwhile
+        barrier()  # a file that is read is not replaced meanwhile
         there = done_of(mine, rows)
         missing = [task for task in mine if task not in there]
         code, ended = commit(), 0
@@ -93,7 +93,7 @@ class Evaluate(ManySettings):
                 progress.update(left, advance=cell.cost(), description=text)
 
             run_tasks(self.out, missing, self.workers, code, done)
-        wait_for_all()
+        barrier()
         if rank() == 0:
             rows = results_in(self.out)
             if len(done_of(tasks.values(), rows)) == len(tasks):

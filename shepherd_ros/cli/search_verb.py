@@ -46,7 +46,7 @@ class Search:
             from shepherd_ros.paper.preset_scores import preset_scores
 
             tell = partial(print, file=sys.stderr)
-            print(preset_scores(self.presets, self.episodes, tell=tell))
+            print(preset_scores(self.presets, self.episodes, on_preset=tell))
             return 0
         made_folder('--out', self.out.parent)
         best = -1.0

@@ -28,8 +28,8 @@ from torch import Tensor
 ID = 'shepherd_ros/Herding-v0'
 
 
-def alone(config: EnvConfig | None) -> EnvConfig:
-    """Return the configuration of one shepherd, the default one if none is given."""
+def single_shepherd(config: EnvConfig | None) -> EnvConfig:
+    """Return the configuration, by default that of one shepherd; ConfigError for a team."""
     config = config or replace(EnvConfig(), world=replace(EnvConfig().world, n_shepherds=1))
     if config.world.n_shepherds != 1:
         raise ConfigError(
@@ -46,7 +46,7 @@ class HerdingEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def __init__(self, config: EnvConfig | None = None) -> None:
         """Make the world; reset() starts it."""
-        self.worlds = HerdingWorlds(alone(config), 1)
+        self.worlds = HerdingWorlds(single_shepherd(config), 1)
         self.observation_space, self.action_space = spaces_of(self.worlds.config)
 
     def reset(
@@ -102,8 +102,8 @@ class HerdingVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Return observations, rewards, terminations, truncations (num_envs,) each, and info."""
-        given = np.asarray(actions).reshape(-1, self.team, 2)
-        obs, reward, truncated, info = self.worlds.step(given)
+        actions_by_world = np.asarray(actions).reshape(-1, self.team, 2)
+        obs, reward, truncated, info = self.worlds.step(actions_by_world)
         episode_info: dict[str, Any] = {}
         if 'final_observation' in info:
             ended = self._each(truncated)
@@ -119,13 +119,13 @@ class HerdingVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return obs.reshape(self.num_envs, *obs.shape[2:])
 
     def _each(self, value: Tensor) -> np.ndarray:
-        """Return what a world has (B,) for each of its shepherds (num_envs,)."""
+        """Return values of worlds (B,), repeated for their shepherds (num_envs,)."""
         return value.repeat_interleave(self.team).numpy()
 
 
-def alone_in_each(*, num_envs: int, config: EnvConfig | None = None) -> HerdingVectorEnv:
-    """Return so many worlds with one shepherd each."""
-    return HerdingVectorEnv(alone(config), num_envs)
+def make_vector_env(*, num_envs: int, config: EnvConfig | None = None) -> HerdingVectorEnv:
+    """Return a vector environment of num_envs worlds with one shepherd each."""
+    return HerdingVectorEnv(single_shepherd(config), num_envs)
 
 
 class HerdingParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
@@ -180,8 +180,8 @@ class HerdingParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         missing = sorted(set(self.agents) - set(actions))
         if missing:
             raise ConfigError(f'actions lack {missing}: expected one for each of {self.agents}')
-        given = np.stack([actions[name] for name in self.agents])[None]
-        obs, reward, truncated, info = self.worlds.step(given)
+        stacked = np.stack([actions[name] for name in self.agents])[None]
+        obs, reward, truncated, info = self.worlds.step(stacked)
         names, ended = self.agents, bool(truncated[0])
         episode_info: dict[str, Any] = {}
         if ended:
@@ -199,7 +199,7 @@ class HerdingParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         return result
 
     def render(self) -> None:
-        """Draw nothing: shepherd bag render draws episodes."""
+        """Do nothing: shepherd bag render draws episodes."""
 
     def _by_name(self, obs: np.ndarray) -> dict[str, np.ndarray]:
         return dict(zip(self.possible_agents, obs[0], strict=True))
@@ -207,4 +207,4 @@ class HerdingParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
 
 if ID not in gymnasium.registry:
     here = f'{__name__}:'
-    gymnasium.register(ID, here + 'HerdingEnv', vector_entry_point=here + 'alone_in_each')
+    gymnasium.register(ID, here + 'HerdingEnv', vector_entry_point=here + 'make_vector_env')

@@ -49,21 +49,21 @@ class HerdingWorlds:
         return inputs.numpy()
 
     def reset(self, seed: int | None) -> np.ndarray:
-        """Start anew, the first time with any seed if none is given; return inputs."""
+        """Start new episodes; return inputs (B, H, D, L). The first seed is random by default."""
         if seed is None and not self.env.started:
             seed = secrets.randbits(63)
         stack, _ = self.env.reset(seed)
-        return self._remember(stack)
+        return self._observe_stack(stack)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, Tensor, Tensor, dict[str, Any]]:
         """Return inputs, reward (B,), truncated (B,) and info after actions (B, H, 2)."""
         speed = self.config.world.shepherd_speed
-        way = torch.as_tensor(action, dtype=torch.float32) * speed
-        command = rotate_by_ray(way, self.first, self.config.lidar.n_rays)
+        velocity = torch.as_tensor(action, dtype=torch.float32) * speed
+        command = rotate_by_ray(velocity, self.first, self.config.lidar.n_rays)
         stack, reward, _, truncated, info = self.env.step(command)
-        return self._remember(stack), reward, truncated, info
+        return self._observe_stack(stack), reward, truncated, info
 
-    def _remember(self, stack: Tensor | None) -> np.ndarray:
+    def _observe_stack(self, stack: Tensor | None) -> np.ndarray:
         assert stack is not None
         self.first = first_ray(stack[..., -1, :, :], self.config.observation)
         return self.observe(stack)

@@ -40,13 +40,13 @@ class HerdingVecEnv(VecEnv):
         super().__init__(self.env.num_envs, obs, done)
 
     def reset(self) -> np.ndarray:
-        """Return observations (num_envs, D, L); seed() says with which seed world 0 starts."""
+        """Return observations (num_envs, D, L); seed() sets the seed of world 0."""
         obs, _ = self.env.reset(seed=self._seeds[0])
         self._reset_seeds()
         return obs
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take actions (num_envs, 2) in units of the top speed."""
+        """Store actions (num_envs, 2) in units of the top speed for step_wait()."""
         self.actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -63,7 +63,7 @@ class HerdingVecEnv(VecEnv):
         return obs, total, truncated, cast(Any, infos)
 
     def close(self) -> None:
-        """Close nothing: the worlds hold no files and no processes."""
+        """Do nothing: the worlds hold no files and no processes."""
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Return an attribute of the vector environment, once for each of some environments."""
@@ -86,7 +86,7 @@ class HerdingVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        """Return no pictures: shepherd bag render draws episodes."""
+        """Return None for each: shepherd bag render draws episodes."""
         return [None] * self.num_envs
 
 

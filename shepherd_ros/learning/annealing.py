@@ -29,7 +29,7 @@ class AnnealConfig(Config):
 
 
 def stages(first: PolicyConfig, config: AnnealConfig) -> list[PolicyConfig]:
-    """Return the policy's configuration in each stage; ConfigError if halving misses the end."""
+    """Return the policy's configuration by stage; ConfigError if halving misses the end."""
     paces = [first.action_repeat]
     while paces[-1] >= 2 * config.final_action_repeat and paces[-1] % 2 == 0:
         paces.append(paces[-1] // 2)

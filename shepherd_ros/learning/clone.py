@@ -37,7 +37,7 @@ class Examples:
     """The newest examples: scaled frames (K, C, R), the ray in front, the wanted action (2,)."""
 
     def __init__(self, policy: Policy, capacity: int, dtype: torch.dtype) -> None:
-        """Make an empty store; memory is taken as it fills."""
+        """Create an empty store; its memory is used as it fills."""
         config = policy.config
         shape = (config.observation.n_frames, *config.lidar.layout.shape)
         self.frames = torch.empty(capacity, *shape, dtype=dtype)
@@ -46,43 +46,43 @@ class Examples:
         self.capacity, self.count = capacity, 0
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the examples that are there, and how many there were."""
-        there = {name: getattr(self, name)[: len(self)] for name in ('frames', 'first', 'wanted')}
-        return {'count': self.count, **{name: kept.clone() for name, kept in there.items()}}
+        """Return the examples in the store, and the number of all so far."""
+        parts = {name: getattr(self, name)[: len(self)] for name in ('frames', 'first', 'wanted')}
+        return {'count': self.count, **{name: values.clone() for name, values in parts.items()}}
 
-    def load_state_dict(self, kept: dict[str, Any]) -> None:
+    def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the state that state_dict() returned."""
-        self.count = kept['count']
+        self.count = state['count']
         for name in ('frames', 'first', 'wanted'):
-            getattr(self, name)[: len(self)] = kept[name]
+            getattr(self, name)[: len(self)] = state[name]
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of examples in the store."""
         return min(self.count, self.capacity)
 
     def add(self, frames: Tensor, first: Tensor, wanted: Tensor) -> None:
-        """Put n examples in place of the oldest; wanted (n, 2) m/s is relative to the ray."""
-        at = (self.count + torch.arange(len(first))) % self.capacity
-        self.frames[at] = frames.to(self.frames.dtype)
-        self.first[at], self.wanted[at] = first, wanted
+        """Replace the oldest by n examples; wanted (n, 2) m/s is relative to the first ray."""
+        index = (self.count + torch.arange(len(first))) % self.capacity
+        self.frames[index] = frames.to(self.frames.dtype)
+        self.first[index], self.wanted[index] = first, wanted
         self.count += len(first)
 
     def draw(self, size: int, generator: torch.Generator, newest: int = 0) -> Tensor:
         """Return indices (size,) of random examples, of the newest only if that is not 0."""
         span = min(newest or len(self), len(self))
-        back = torch.randint(span, (size,), generator=generator)
-        return (self.count - 1 - back) % self.capacity
+        offset = torch.randint(span, (size,), generator=generator)
+        return (self.count - 1 - offset) % self.capacity
 
 
-def running_mean(keep: float) -> Callable[[Weights, Weights, Tensor | int], None]:
+def running_mean(decay: float) -> Callable[[Weights, Weights, Tensor | int], None]:
     """Return the update of a running mean with this decay, which is faster at first."""
 
-    def take_in(kept: Weights, new: Weights, count: Tensor | int) -> None:
-        share = max(1 - keep, EMA_WARMUP_STEPS / (float(count) + EMA_WARMUP_STEPS))
-        for old, recent in zip(kept, new, strict=True):
-            old.lerp_(recent, share)
+    def update(average: Weights, new: Weights, count: Tensor | int) -> None:
+        weight = max(1 - decay, EMA_WARMUP_STEPS / (float(count) + EMA_WARMUP_STEPS))
+        for mean, value in zip(average, new, strict=True):
+            mean.lerp_(value, weight)
 
-    return take_in
+    return update
 
 
 class CloneLearner:
@@ -93,7 +93,7 @@ class CloneLearner:
     """
 
     def __init__(self, policy: Policy, config: CloneConfig, seed: int) -> None:
-        """Make the optimiser."""
+        """Create the optimiser and the running mean."""
         self.policy, self.config = policy, config
         self.optimiser = torch.optim.Adam(policy.actor.parameters(), config.learning_rate)
         self.generator = torch.Generator().manual_seed(seed)
@@ -102,22 +102,22 @@ class CloneLearner:
     def state_dict(self) -> dict[str, Any]:
         """Return the state of the learner."""
         parts = ('policy', 'optimiser', 'average')
-        kept = {name: getattr(self, name).state_dict() for name in parts}
-        return {**kept, 'generator': self.generator.get_state()}
+        state = {name: getattr(self, name).state_dict() for name in parts}
+        return {**state, 'generator': self.generator.get_state()}
 
-    def load_state_dict(self, kept: dict[str, Any]) -> None:
+    def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the state that state_dict() returned."""
         for name in ('policy', 'optimiser', 'average'):
-            getattr(self, name).load_state_dict(kept[name])
-        self.generator.set_state(kept['generator'])
+            getattr(self, name).load_state_dict(state[name])
+        self.generator.set_state(state['generator'])
 
     def averaged(self, policy: Policy) -> Policy:
-        """Return the policy, to whose actor the running mean of the weights is given."""
+        """Set the actor's weights of a policy to the running mean; return the policy."""
         policy.actor.load_state_dict(self.average.module.state_dict())
         return policy
 
-    def slow_down(self, share: float) -> None:
-        """Set the learning rate to a share of that at first."""
+    def scale_learning_rate(self, share: float) -> None:
+        """Set the learning rate to a fraction of the initial one."""
         self.optimiser.param_groups[0]['lr'] = self.config.learning_rate * share
 
     def loss(self, examples: Examples, chosen: Tensor) -> Tensor:
@@ -134,16 +134,16 @@ class CloneLearner:
         return torch.where(error < bound, error.square(), bound * (2 * error - bound)).mean()
 
     def learn(self, examples: Examples) -> float:
-        """Take the steps of a round; return the mean loss."""
+        """Train for the steps of a round; return the mean loss."""
         newest = self.config.recent_examples
         losses = [
-            self.take_step(examples, newest if i % 3 == 0 else 0)
+            self.train_batch(examples, newest if i % 3 == 0 else 0)
             for i in range(self.config.updates_per_round)
         ]
         return sum(losses) / len(losses)
 
-    def take_step(self, examples: Examples, newest: int = 0) -> float:
-        """Learn from one batch, of so many of the newest if that is not 0; return its loss."""
+    def train_batch(self, examples: Examples, newest: int = 0) -> float:
+        """Train on one batch, of the `newest` examples if that is not 0; return its loss."""
         chosen = examples.draw(self.config.batch_size, self.generator, newest)
         loss = self.loss(examples, chosen)
         self.optimiser.zero_grad(set_to_none=True)

@@ -32,7 +32,7 @@ import torch
 from torch import Tensor
 
 
-def _teacher(name: str, world: WorldConfig) -> Controller:
+def _make_teacher(name: str, world: WorldConfig) -> Controller:
     """Return the controller of this name."""
     name = full_name(name)
     options = {'checkpoint': checkpoint_of(name)} if checkpoint_of(name) else {}
@@ -40,7 +40,7 @@ def _teacher(name: str, world: WorldConfig) -> Controller:
 
 
 class LabelledWorlds:
-    """A group of worlds in which a learner drives and a teacher labels the states."""
+    """A group of worlds in which a learner acts and a teacher labels the states."""
 
     def __init__(
         self,
@@ -51,9 +51,9 @@ class LabelledWorlds:
         again: bool = False,
     ) -> None:
         """
-        Make the worlds and start their first episode, the shorter the lower the index.
+        Create the worlds and start their first episode, the shorter the lower the index.
 
-        again: they are those of a run that goes on, whose bags are written once more.
+        again: they are those of a resumed run, whose bags are written once more.
         """
         self.config, self.policy, self.dtype = config, policy, dtype
         lidar = policy.config.lidar
@@ -68,16 +68,16 @@ class LabelledWorlds:
         """Start an episode with new memories."""
         self.group.begin(steps)
         self.bags = DaggerBags(self.config.bag_folder, self.again)
-        self._meet()
+        self._begin_memories()
 
-    def _meet(self) -> None:
-        """Take the teachers of the group's world, and memories of nothing."""
-        now = self.group.moment
-        state, world = now.state, now.config.world
+    def _begin_memories(self) -> None:
+        """Create the teachers of the group's world, with new memories."""
+        moment = self.group.moment
+        state, world = moment.state, moment.config.world
         require_same_world(self.policy, world)
         teacher, at_home = self.config.teachers(model_of(world.flock).name)
-        self.teacher = _teacher(teacher, world)
-        self.home_teacher = _teacher(at_home, world) if at_home else None
+        self.teacher = _make_teacher(teacher, world)
+        self.home_teacher = _make_teacher(at_home, world) if at_home else None
         self.taught = self.teacher.begin(state)
         if self.home_teacher is not None:
             self.taught_home = self.home_teacher.begin(state)
@@ -85,43 +85,47 @@ class LabelledWorlds:
         self.learned = inference.begin(self.policy, (worlds,), team, self.dtype)
 
     def _label(self, state: WorldState) -> Tensor:
-        """Return the commands of the teacher for this place of the flock, (B, H, 2) m/s."""
+        """Return the commands of the teacher, or of that near the goal, (B, H, 2) m/s."""
         label, self.taught = self.teacher.act(state, self.taught)
         if self.home_teacher is None:
             return label
         at_home, self.taught_home = self.home_teacher.act(state, self.taught_home)
-        away = torch.linalg.vector_norm(state.center - state.goal, dim=-1) - state.goal_radius
-        return torch.where((away < self.config.home_distance)[:, None, None], at_home, label)
+        rim_distance = (
+            torch.linalg.vector_norm(state.center - state.goal, dim=-1) - state.goal_radius
+        )
+        return torch.where(
+            (rim_distance < self.config.home_distance)[:, None, None], at_home, label
+        )
 
-    def _command(self, now: Moment) -> Tensor:
+    def _command(self, moment: Moment) -> Tensor:
         """Return the learner's commands, (B, H, 2) m/s."""
         command, self.learned = inference.act(
             self.policy,
-            lambda: now.ranges,
-            now.state.shepherd_mask,
+            lambda: moment.ranges,
+            moment.state.shepherd_mask,
             self.learned,
-            now.config.world.shepherd_speed,
+            moment.config.world.shepherd_speed,
         )
         return command
 
     def run(self, steps: int, teacher_drives: bool, examples: Examples) -> None:
-        """Drive on for some steps and keep examples, of steps in which the learner decides."""
-        wanted_one = False
+        """Run for some steps and add examples, of steps in which the learner decides."""
+        example_due = False
         for t in range(steps):
-            now = self.group.moment
+            moment = self.group.moment
             decides = bool((self.learned['count'] % self.policy.config.action_repeat == 0).all())
-            label, command = self._label(now.state), self._command(now)
-            wanted_one |= t % self.config.example_interval == 0
-            if wanted_one and decides:
-                wanted_one = False
-                present = now.state.shepherd_mask
+            label, command = self._label(moment.state), self._command(moment)
+            example_due |= t % self.config.example_interval == 0
+            if example_due and decides:
+                example_due = False
+                present = moment.state.shepherd_mask
                 frames = self.policy.config.frames.select(self.learned['history'][present])
                 first = self.learned['first'][present]
-                wanted = rotate_by_ray(label[present], -first, frames.shape[-1])
-                examples.add(frames, first, wanted)
-            driven = label if teacher_drives else command
-            self.bags.add(self.group, driven, label)
-            self.group.step(driven)
+                target = rotate_by_ray(label[present], -first, frames.shape[-1])
+                examples.add(frames, first, target)
+            executed = label if teacher_drives else command
+            self.bags.add(self.group, executed, label)
+            self.group.step(executed)
             if self.group.left <= 0:
                 self.close()
                 self._begin(self.full)
@@ -131,29 +135,29 @@ class LabelledWorlds:
         self.bags.close(self.group.moment)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the episode and what is remembered of it."""
+        """Return the episode and the memories of its controllers."""
         memories = {'taught': self.taught, 'learned': self.learned}
         if self.home_teacher is not None:
             memories['taught_home'] = self.taught_home
         return {'group': self.group.state_dict(), 'memories': memories}
 
-    def load_state_dict(self, kept: dict[str, Any]) -> None:
-        """Go on from what state_dict() gave; the episode that was cut has no bag."""
-        self.group.load_state_dict(kept['group'])
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore the state of state_dict(); the interrupted episode has no bag."""
+        self.group.load_state_dict(state['group'])
         self.bags = DaggerBags('')
-        self._meet()
-        for name, memory in kept['memories'].items():
+        self._begin_memories()
+        for name, memory in state['memories'].items():
             setattr(self, name, memory)
 
 
 class DaggerTrainer:
-    """Worlds that a learner drives, and the examples of the teacher in them."""
+    """Worlds in which a learner acts, and the examples of the teacher in them."""
 
     def __init__(self, policy: Policy, config: DaggerConfig, again: bool) -> None:
-        """Start all; again: a run goes on."""
+        """Start all worlds; again: the run is a resumed one."""
         self.policy, self.config, self.eval_freq = policy, config, config.eval_freq
         self.dtype = fast_dtype()
-        self.cloner = CloneLearner(deepcopy(policy), config.clone, config.seed)
+        self.learner = CloneLearner(deepcopy(policy), config.clone, config.seed)
         self.worlds = [
             LabelledWorlds(config, policy, i, self.dtype, again) for i in range(config.groups)
         ]
@@ -161,22 +165,22 @@ class DaggerTrainer:
         self.progress = {'updates': 0, 'samples': 0, 'examples': 0}
 
     def share(self) -> float:
-        """Return which share of the rounds is done."""
+        """Return the fraction of the rounds that is done."""
         return self.progress['updates'] / self.config.rounds
 
     def averaged(self) -> Policy:
-        """Return the policy that drives."""
+        """Return the policy that acts, which is the running mean."""
         return self.policy
 
     def update(self, stopping: Callable[[], bool]) -> dict[str, float]:
-        """Drive and learn for a round; return its loss."""
+        """Collect examples and train for a round; return its loss."""
         config, done = self.config, self.progress['updates']
         for i, worlds in enumerate(self.worlds):
-            shown = done < config.teacher_rounds or i < config.teacher_groups
-            worlds.run(config.steps_per_round, shown, self.examples)
-        self.cloner.slow_down(1 - 0.95 * self.share())
-        loss = self.cloner.learn(self.examples)
-        self.cloner.averaged(self.policy)
+            teacher_drives = done < config.teacher_rounds or i < config.teacher_groups
+            worlds.run(config.steps_per_round, teacher_drives, self.examples)
+        self.learner.scale_learning_rate(1 - 0.95 * self.share())
+        loss = self.learner.learn(self.examples)
+        self.learner.averaged(self.policy)
         samples = (done + 1) * config.clone.updates_per_round * config.clone.batch_size
         self.progress = {'updates': done + 1, 'samples': samples, 'examples': len(self.examples)}
         return {'loss': loss}
@@ -184,7 +188,7 @@ class DaggerTrainer:
     def state_dict(self) -> dict[str, Any]:
         """Return the state of the training."""
         return {
-            'cloner': self.cloner.state_dict(),
+            'cloner': self.learner.state_dict(),
             'worlds': [worlds.state_dict() for worlds in self.worlds],
             'examples': self.examples.state_dict(),
             'progress': dict(self.progress),
@@ -192,8 +196,8 @@ class DaggerTrainer:
 
     def load_state_dict(self, kept: dict[str, Any]) -> None:
         """Restore the state that state_dict() returned."""
-        self.cloner.load_state_dict(kept['cloner'])
-        self.cloner.averaged(self.policy)
+        self.learner.load_state_dict(kept['cloner'])
+        self.learner.averaged(self.policy)
         for worlds, state in zip(self.worlds, kept['worlds'], strict=True):
             worlds.load_state_dict(state)
         self.examples.load_state_dict(kept['examples'])
@@ -207,12 +211,12 @@ def train_dagger(
     on_line: Callable[[dict[str, Any]], None] = lambda line: None,
 ) -> Policy:
     """
-    Learn for the rounds; return the policy, which is changed in place.
+    Train for all rounds; return the policy, which is changed in place.
 
-    What drives, is judged and kept is a running mean of the weights that learn.
+    The policy that acts, is evaluated and is kept is a running mean of the trained weights.
     """
-    trainer = DaggerTrainer(policy, config, run.found)
-    TrainingLoop(run, trainer, on_line).go_on()
+    trainer = DaggerTrainer(policy, config, run.resumes)
+    TrainingLoop(run, trainer, on_line).run_to_end()
     for worlds in trainer.worlds:
         worlds.close()
     return policy

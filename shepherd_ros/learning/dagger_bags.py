@@ -1,9 +1,9 @@
 """
-Bags of DAgger: the episodes as they were driven, with the teacher's commands as labels.
+Bags of DAgger: the executed episodes, with the teacher's commands as labels.
 
 The commands of such a bag are those that moved its world, so it is a bag like any other. The
-labels of the teacher are on the same topics in a namespace of their own, as they would be if the
-teacher ran beside the learner and only the learner's commands were remapped to the world.
+labels of the teacher are on the same topics in a namespace of their own, as if the teacher ran
+beside the learner and only the learner's commands were remapped to the world.
 """
 
 from __future__ import annotations
@@ -32,36 +32,36 @@ class DaggerBags:
 
     def __init__(self, out: Path | str, again: bool = False, compression: str = 'zstd') -> None:
         """
-        Take the folder of the bags, none if it is empty; it is made with the first bag.
+        Set the folder of the bags, none if it is empty; it is created with the first bag.
 
-        again: a run that goes on writes bags that are there once more.
+        again: a resumed run, which overwrites its bags.
         """
         self.out = Path(out) if out else None
         self.again, self.compression = again, compression
         self.bags: list[EpisodeBag] = []
 
-    def add(self, group: WorldGroup, driven: Tensor, labels: Tensor) -> None:
+    def add(self, group: WorldGroup, executed: Tensor, labels: Tensor) -> None:
         """
-        Write the group's states (B) with their scans, before they go on as commanded.
+        Write the group's states (B) with their scans, before the step of the command.
 
-        driven and labels (B, H, 2) m/s are what moves the worlds, and what the teacher would say.
-        Raises ConfigError if a bag is there already.
+        executed and labels (B, H, 2) m/s are the commands to the worlds, and the teacher's.
+        Raises ConfigError if a bag exists.
         """
         if self.out is None:
             return
         if not self.bags:
             self._begin(self.out, group)
-        write_moment(self.bags, group.moment, driven, (LABEL_NAMESPACE, labels))
+        write_moment(self.bags, group.moment, executed, (LABEL_NAMESPACE, labels))
 
     def close(self, last: Moment) -> None:
-        """Write the moment that the last command led to, and finish the bags."""
+        """Write the moment after the last command, and close the bags."""
         if self.out is not None and self.bags:
             write_moment(self.bags, last)
             close_bags(self.out, self.bags)
         self.bags = []
 
     def _begin(self, out: Path, group: WorldGroup) -> None:
-        """Open the bags of an episode, which is as long as it will be driven."""
+        """Open the bags of an episode, with the length that it will have."""
         start = group.moment.state
         for seed in start.seed.tolist():
             folder = episode_folder(out, seed)

@@ -1,4 +1,4 @@
-"""The configuration of DAgger: who teaches where, and how much is driven and learned."""
+"""The configuration of DAgger: teachers, worlds, and the amounts of collecting and training."""
 
 from __future__ import annotations
 
@@ -47,6 +47,6 @@ class DaggerConfig(Config):
             full_name(name)
 
     def teachers(self, flock: str) -> tuple[str, str]:
-        """Return the teacher for a flock model, and that for one that is home if another is."""
-        here, home = f'{flock}_teacher', f'{flock}_home_teacher'
-        return getattr(self, here, self.teacher), getattr(self, home, '')
+        """Return the teacher for a flock model, and that near the goal, '' for the same."""
+        field, home = f'{flock}_teacher', f'{flock}_home_teacher'
+        return getattr(self, field, self.teacher), getattr(self, home, '')

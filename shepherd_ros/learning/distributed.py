@@ -1,4 +1,4 @@
-"""The processes that torchrun starts, on one machine or on several, each a rank; or just one."""
+"""Distributed training: the processes of torchrun, each a rank; or a single one."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def device_index() -> int:
     return int(os.environ.get('LOCAL_RANK', '0'))
 
 
-def wait_for_all() -> None:
-    """Wait until every process is here; return at once where there is one."""
+def barrier() -> None:
+    """Wait until every process has called it; return at once with a single process."""
     if ranks() > 1:
         _distributed().barrier()
 
@@ -42,40 +42,40 @@ def least(number: int) -> int:
     return number if ranks() == 1 else int(_reduced([number], 'MIN')[0])
 
 
-def gathered(own: bytes) -> list[bytes]:
-    """Return what each process has, in order, to the first; nothing to the others."""
+def gather(value: bytes) -> list[bytes]:
+    """Return the values of all processes in order, on the first; [] on the others."""
     parts: Any = [None] * ranks() if rank() == 0 else None
-    _distributed().gather_object(own, parts)
+    _distributed().gather_object(value, parts)
     return parts or []
 
 
-def from_first(own: Any) -> Any:
-    """Return what the first process has."""
-    box = [own]
+def broadcast(value: Any) -> Any:
+    """Return the value of the first process."""
+    box = [value]
     if ranks() > 1:
         _distributed().broadcast_object_list(box)
     return box[0]
 
 
-def add_up(tensors: Iterable[Any]) -> None:
+def all_reduce(tensors: Iterable[Any]) -> None:
     """Replace float tensors by their sums over all processes, in place."""
     if ranks() == 1:
         return
     import torch
 
     tensors = list(tensors)
-    whole = torch.cat([tensor.reshape(-1) for tensor in tensors])
-    _distributed().all_reduce(whole)
-    for tensor, part in zip(tensors, whole.split([t.numel() for t in tensors]), strict=True):
+    flat = torch.cat([tensor.reshape(-1) for tensor in tensors])
+    _distributed().all_reduce(flat)
+    for tensor, part in zip(tensors, flat.split([t.numel() for t in tensors]), strict=True):
         tensor.copy_(part.view_as(tensor))
 
 
-def _reduced(numbers: list[float], how: str) -> Any:
+def _reduced(numbers: list[float], operation: str) -> Any:
     import torch
 
     distributed = _distributed()
     values = torch.tensor(numbers, dtype=torch.float64)
-    distributed.all_reduce(values, getattr(distributed.ReduceOp, how))
+    distributed.all_reduce(values, getattr(distributed.ReduceOp, operation))
     return values
 
 

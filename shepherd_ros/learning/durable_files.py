@@ -1,4 +1,4 @@
-"""Files that are whole or as before, whatever happens while they are written."""
+"""Atomic writing of files: complete or as before, also after a failure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from shepherd_ros.config import ConfigError
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Raise ConfigError for what goes wrong while a file is written."""
+    """Raise ConfigError for an error while a file is written."""
     try:
         yield
     except (OSError, RuntimeError) as error:  # torch and a full disk: the second
@@ -24,17 +24,17 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def replace_file(path: Path, write: Callable[[Any], object]) -> None:
-    """Write a file beside and move it into place: the one before stays until it is whole."""
-    beside = path.with_suffix('.part')
+    """Write a file under another name and rename it: the old one stays until then."""
+    temporary = path.with_suffix('.part')
     with writing(path):
         try:
-            with beside.open('wb') as file:
+            with temporary.open('wb') as file:
                 write(file)
                 file.flush()
                 os.fsync(file.fileno())
-            beside.replace(path)
+            temporary.replace(path)
         finally:
-            beside.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
         folder = os.open(path.parent, os.O_RDONLY)
         os.fsync(folder)
         os.close(folder)

@@ -1,4 +1,4 @@
-"""Groups of worlds that a learner acts in."""
+"""Groups of worlds in which a learner acts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Reward = Callable[[Moment], Tensor]  # of each shepherd after a step, (B, H)
 
 
 def team_reward(moment: Moment) -> Tensor:
-    """Return the paper's reward, the same for all of a team."""
+    """Return the paper's reward, the same for all shepherds of a team, (B, H)."""
     return moment.reward[:, None].expand(moment.state.shepherd_mask.shape)
 
 
@@ -40,7 +40,7 @@ class WorldGroup:
         device: torch.device = CPU,
     ) -> None:
         """
-        Make the group; begin() starts its first episode. count: with the tally of metrics.
+        Create the group; begin() starts its first episode. count: with the tally of metrics.
 
         Its episodes are those of seed and index, which is its own over all processes.
         """
@@ -53,7 +53,7 @@ class WorldGroup:
     left: int  # steps until the episode is cut
 
     def begin(self, steps: int) -> None:
-        """Start an episode of so many steps, in a world that is drawn from the task."""
+        """Start an episode of `steps` steps, in a world that is drawn from the task."""
         seeds = mixed_seeds(self.n_worlds, self.seed, self.index, self.episode)
         config = replace(draw_environment(self.task, int(seeds[0])), lidar=self.lidar)
         self.moment = start(spawn(config.world, seeds.to(self.device)), config, self.count)
@@ -61,19 +61,19 @@ class WorldGroup:
 
     def state_dict(self) -> dict[str, Any]:
         """Return the number of the episode and its state."""
-        now = self.moment.state
-        state = {f.name: getattr(now, f.name) for f in fields(now)}
+        world_state = self.moment.state
+        state = {f.name: getattr(world_state, f.name) for f in fields(world_state)}
         return {'episode': self.episode, 'left': self.left, 'state': state}
 
-    def load_state_dict(self, kept: dict[str, Any]) -> None:
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restore the state that state_dict() returned."""
-        self.episode = kept['episode'] - 1
-        self.begin(kept['left'])
-        state = {name: t.to(self.device) for name, t in kept['state'].items()}
+        self.episode = state_dict['episode'] - 1
+        self.begin(state_dict['left'])
+        state = {name: t.to(self.device) for name, t in state_dict['state'].items()}
         self.moment = start(WorldState(**state), self.moment.config, self.count)
 
     def step(self, command: Tensor) -> None:
-        """Go on by a step with a command (B, H, 2) m/s."""
+        """Advance by one step with a command (B, H, 2) m/s."""
         self.moment = advance(self.moment, command)
         self.left -= 1
 
@@ -86,12 +86,12 @@ class WorldGroup:
         total, effort = command.new_zeros(command.shape[:-1]), self.task.effort
         for _ in range(repeat):
             self.step(command)
-            now = self.moment
-            total += reward(now)
-            terms = now.reward_terms
+            moment = self.moment
+            total += reward(moment)
+            terms = moment.reward_terms
             if effort > 0:
                 displacement = torch.linalg.vector_norm(
-                    now.state.shepherds - now.before.shepherds, dim=-1
+                    moment.state.shepherds - moment.before.shepherds, dim=-1
                 )
                 total -= effort * displacement
                 terms = terms | {'effort': -effort * displacement}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from shepherd_ros.config import Config, option
-from shepherd_ros.learning.distributed import add_up, least, ranks, total
+from shepherd_ros.learning.distributed import all_reduce, least, ranks, total
 from shepherd_ros.learning.ppo_rollout import Batch, log_prob
 from shepherd_ros.learning.store import Store
 from shepherd_ros.policy.policy import Policy
@@ -49,29 +49,29 @@ def approximate_kl(log_ratio: Tensor) -> Tensor:
     return (log_ratio.exp() - 1 - log_ratio).mean()
 
 
-def explained_variance(guess: Tensor, target: Tensor) -> float:
-    """Return the share of the variance of the target that the guess explains, 0 of one alone."""
+def explained_variance(prediction: Tensor, target: Tensor) -> float:
+    """Return the fraction of the target's variance that is explained, 0 for a single sample."""
     if len(target) < 2:
         return 0.0
-    return float(1 - (target - guess).var() / target.var().clamp(min=1e-12))
+    return float(1 - (target - prediction).var() / target.var().clamp(min=1e-12))
 
 
-def normalised(gain: Tensor) -> Tensor:
+def normalised(advantage: Tensor) -> Tensor:
     """Return advantages with mean 0 and deviation 1 over all processes."""
     if ranks() == 1:
-        spread = gain.std() if len(gain) > 1 else gain.new_zeros(())
-        return (gain - gain.mean()) / spread.clamp(min=1e-8)
-    count = total(len(gain))
-    mean = total(float(gain.sum())) / count
-    variance = total(float((gain - mean).square().sum())) / max(count - 1, 1)
-    return (gain - mean) / max(variance**0.5, 1e-8)
+        spread = advantage.std() if len(advantage) > 1 else advantage.new_zeros(())
+        return (advantage - advantage.mean()) / spread.clamp(min=1e-8)
+    count = total(len(advantage))
+    mean = total(float(advantage.sum())) / count
+    variance = total(float((advantage - mean).square().sum())) / max(count - 1, 1)
+    return (advantage - mean) / max(variance**0.5, 1e-8)
 
 
 class PPOLearner:
     """A policy with an optimiser for each of its two networks."""
 
     def __init__(self, policy: Policy, config: PPOConfig) -> None:
-        """Make the optimisers."""
+        """Create the optimisers and the running mean."""
         self.policy, self.config = policy, config
         self.actor = torch.optim.Adam(
             policy.actor.parameters(), config.actor_learning_rate, eps=1e-5
@@ -109,8 +109,8 @@ class PPOLearner:
         policy.critic.load_state_dict(self.policy.critic.state_dict())
         return policy
 
-    def slow_down(self, share: float) -> None:
-        """Set the learning rates to a share of those at first."""
+    def scale_learning_rate(self, share: float) -> None:
+        """Set the learning rates to a fraction of the initial ones."""
         self.actor.param_groups[0]['lr'] = self.config.actor_learning_rate * share
         self.critic.param_groups[0]['lr'] = self.config.critic_learning_rate * share
 
@@ -118,15 +118,15 @@ class PPOLearner:
         self, store: Store, batch: Batch, generator: torch.Generator, actor: bool = True
     ) -> dict[str, float]:
         """
-        Learn from a batch, in place; return logged scalars. actor False: critic only.
+        Train on a batch, in place; return logged scalars. actor False: critic only.
 
-        Where there are several processes, each has a batch of its own, and all take the steps of
-        the whole: gradients are means over all samples of a minibatch, wherever they are.
+        With several processes, each has a batch of its own, and all take the same steps:
+        gradients are means over all samples of a minibatch, of all processes.
         """
         config, size = self.config, len(batch.value)
-        gain = batch.advantage
-        target = gain + batch.value
-        gain = normalised(gain)
+        advantage = batch.advantage
+        target = advantage + batch.value
+        advantage = normalised(advantage)
         names, acting = ('actor_loss', 'critic_loss', 'kl', 'std'), actor
         scalars: dict[str, list[float]] = {name: [] for name in names}
         for _ in range(config.update_epochs):
@@ -149,7 +149,9 @@ class PPOLearner:
                     if kl > config.target_kl:
                         acting = False
                     else:
-                        loss = clipped_loss(log_ratio.exp(), gain[chosen], config.clip_coef).mean()
+                        loss = clipped_loss(
+                            log_ratio.exp(), advantage[chosen], config.clip_coef
+                        ).mean()
                         scalars['actor_loss'].append(float(loss.detach()))
                         scalars['std'].append(float(std.detach().mean()))
                         loss = loss - config.entropy_coef * std.log().sum(dim=-1).mean()
@@ -167,6 +169,6 @@ class PPOLearner:
     def _descend(self, optimiser: torch.optim.Adam, network: nn.Module, loss: Tensor) -> None:
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
-        add_up(p.grad for p in network.parameters() if p.grad is not None)
+        all_reduce(p.grad for p in network.parameters() if p.grad is not None)
         nn.utils.clip_grad_norm_(network.parameters(), self.config.max_grad_norm)
         optimiser.step()

@@ -31,7 +31,7 @@ class Decisions:
 
 @dataclass
 class Batch:
-    """Decisions of all shepherds that were there, n of them in no order."""
+    """Decisions of all present shepherds, n of them, without order."""
 
     rows: Tensor  # (n, K) int64: the frames of each in the store
     first: Tensor  # (n,) int64: ray in front
@@ -63,7 +63,7 @@ class Rollout:
         """
         Start groups x worlds worlds; collect() makes that many decisions in each.
 
-        All is where the policy is.
+        All tensors are on the device of the policy.
         """
         self.policy, self.decisions, self.reward = policy, decisions, reward
         self.device, repeat = policy.device, policy.config.action_repeat
@@ -72,12 +72,14 @@ class Rollout:
         self.generator = torch.Generator(self.device).manual_seed(mixed)
         self.steps = task.episode_steps // repeat * repeat
         self.store = Store(policy, groups, worlds, task.shepherds_max, decisions, dtype)
-        lidar, mine = policy.config.lidar, range(rank() * groups, (rank() + 1) * groups)
-        self.groups = [WorldGroup(task, g, worlds, seed, lidar, device=self.device) for g in mine]
+        lidar, own_groups = policy.config.lidar, range(rank() * groups, (rank() + 1) * groups)
+        self.groups = [
+            WorldGroup(task, g, worlds, seed, lidar, device=self.device) for g in own_groups
+        ]
         for g, group in enumerate(self.groups):
             # the first episodes are of different length, so that not all end at once
-            cut = self.steps * (g + 1) // groups // repeat * repeat
-            group.begin(max(cut, repeat))
+            length = self.steps * (g + 1) // groups // repeat * repeat
+            group.begin(max(length, repeat))
             self.store.put(g, self.store.before, group.moment, starts=True)
 
     @torch.no_grad()
@@ -92,9 +94,9 @@ class Rollout:
         repeat = self.policy.config.action_repeat
         shape = (len(self.groups), self.decisions, *self.store.mask.shape[2:])
         action = torch.zeros(*shape, 2, device=self.device)
-        density, value, following, reward = action.new_zeros(4, *shape)
+        log_probs, value, following, reward = action.new_zeros(4, *shape)
         ended = torch.zeros(shape[:2], dtype=torch.bool, device=CPU)
-        made = Decisions(action, density, value, following, reward, ended)
+        made = Decisions(action, log_probs, value, following, reward, ended)
         for group in self.groups:
             group.terms = {}
         for t in range(self.decisions):
@@ -103,53 +105,53 @@ class Rollout:
                 made.reward[g, t] = group.hold(command[g], repeat, self.reward) * scale
                 self.store.put(g, self.store.before + t + 1, group.moment)
                 made.ended[g, t] = group.left <= 0
-            self._begin_anew(t, made)
+            self._restart_groups(t, made)
         batch = self._batch(made, gamma, gae_lambda)
         return batch, {'reward': float(made.reward.mean() / scale / repeat)} | self._terms(repeat)
 
     def _decide(self, t: int, made: Decisions) -> Tensor:
-        """Fill in decision t of all who are there; return commands (G, B, H, 2) m/s."""
+        """Fill in decision t of all present shepherds; return commands (G, B, H, 2) m/s."""
         policy, store, device = self.policy, self.store, self.device
-        who = store.present(store.before + t, torch.arange(len(self.groups), device=device))
-        g, _, world, shepherd = who
-        at, first = (g, torch.full_like(g, t), world, shepherd), store.first[who]
-        x = store.inputs(store.rows_of(*who), first)
+        agents = store.present(store.before + t, torch.arange(len(self.groups), device=device))
+        g, _, world, shepherd = agents
+        index, first = (g, torch.full_like(g, t), world, shepherd), store.first[agents]
+        x = store.inputs(store.rows_of(*agents), first)
         mean, std = policy.actor(x)
         chosen = mean + std * torch.randn(mean.shape, generator=self.generator, device=device)
-        made.action[at], made.log_prob[at] = chosen, log_prob(chosen, mean, std)
-        made.value[at] = policy.critic(x)
+        made.action[index], made.log_prob[index] = chosen, log_prob(chosen, mean, std)
+        made.value[index] = policy.critic(x)
         command = torch.zeros_like(made.action[:, 0])
         command[g, world, shepherd] = rotate_by_ray(chosen, first, policy.config.lidar.n_rays)
         return command
 
-    def _begin_anew(self, t: int, made: Decisions) -> None:
+    def _restart_groups(self, t: int, made: Decisions) -> None:
         """Fill in the next value where an episode ends after decision t, and start another."""
-        over, row = made.ended[:, t].nonzero()[:, 0], self.store.before + t + 1
-        if not len(over):
+        ended, row = made.ended[:, t].nonzero()[:, 0], self.store.before + t + 1
+        if not len(ended):
             return
-        made.next_value[over, t] = self._values(row, over.to(self.device))[over]
-        for g in over.tolist():
+        made.next_value[ended, t] = self._values(row, ended.to(self.device))[ended]
+        for g in ended.tolist():
             self.groups[g].begin(self.steps)
             self.store.put(g, row, self.groups[g].moment, starts=True)
 
     def _values(self, row: int, groups: Tensor) -> Tensor:
         """Return the critic's values (G, B, H) in a row, 0 for the absent and other groups."""
         store = self.store
-        who = store.present(row, groups)
-        g, _, world, shepherd = who
+        agents = store.present(row, groups)
+        g, _, world, shepherd = agents
         values = torch.zeros(store.mask[:, 0].shape, device=self.device)
         values[g, world, shepherd] = self.policy.critic(
-            store.inputs(store.rows_of(*who), store.first[who])
+            store.inputs(store.rows_of(*agents), store.first[agents])
         )
         return values
 
     def _batch(self, made: Decisions, gamma: float, gae_lambda: float) -> Batch:
-        """Return the decisions of those who are there, with their advantages."""
-        store, everyone = self.store, torch.arange(len(self.groups), device=self.device)
+        """Return the decisions of the present shepherds, with their advantages."""
+        store, all_groups = self.store, torch.arange(len(self.groups), device=self.device)
         ended = made.ended.to(self.device)
-        final = self._values(store.before + self.decisions, everyone)
+        final = self._values(store.before + self.decisions, all_groups)
         following = torch.cat([made.value[:, 1:], final[:, None]], dim=1)
-        gain = advantages(
+        advantage = advantages(
             made.reward.transpose(0, 1),
             made.value.transpose(0, 1),
             torch.where(ended[:, :, None, None], made.next_value, following).transpose(0, 1),
@@ -159,10 +161,10 @@ class Rollout:
         ).transpose(0, 1)
         rows = slice(store.before, store.before + self.decisions)
         g, time, world, shepherd = store.mask[:, rows].nonzero().unbind(dim=-1)
-        at, who = (g, time, world, shepherd), (g, time + store.before, world, shepherd)
+        index, agents = (g, time, world, shepherd), (g, time + store.before, world, shepherd)
         return Batch(
-            store.rows_of(*who), store.first[who],
-            made.action[at], made.log_prob[at], made.value[at], gain[at],
+            store.rows_of(*agents), store.first[agents],
+            made.action[index], made.log_prob[index], made.value[index], advantage[index],
         )  # fmt: skip
 
     def _terms(self, repeat: int) -> dict[str, float]:
@@ -175,7 +177,7 @@ class Rollout:
         }
 
     def roll(self) -> None:
-        """Make room for the next decisions; the batch of the last ones is void afterwards."""
+        """Make room for the next decisions; the last batch is invalid afterwards."""
         self.store.roll()
 
     def state_dict(self) -> dict[str, Any]:
@@ -186,9 +188,9 @@ class Rollout:
             **self.store.state_dict(),
         }
 
-    def load_state_dict(self, kept: dict[str, Any]) -> None:
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restore the state that state_dict() returned."""
-        for group, state in zip(self.groups, kept['groups'], strict=True):
+        for group, state in zip(self.groups, state_dict['groups'], strict=True):
             group.load_state_dict(state)
-        self.generator.set_state(kept['generator'].to(CPU))
-        self.store.load_state_dict(kept)
+        self.generator.set_state(state_dict['generator'].to(CPU))
+        self.store.load_state_dict(state_dict)

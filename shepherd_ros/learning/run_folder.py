@@ -14,7 +14,7 @@ import pickle
 from typing import Any
 
 from shepherd_ros.config import Config, ConfigError
-from shepherd_ros.learning.distributed import from_first, gathered, rank, ranks
+from shepherd_ros.learning.distributed import broadcast, gather, rank, ranks
 from shepherd_ros.learning.durable_files import replace_file, writing
 from shepherd_ros.learning.trainer import Trainer
 from shepherd_ros.policy.checkpoint import read_checkpoint_metadata, save_policy
@@ -29,48 +29,48 @@ STATE_ERRORS = (
 LENGTHS = ('samples', 'rounds', 'epochs')  # options that a run may be given more of
 
 
-def is_same(asked: Any, stored: Any) -> bool:
-    """Return whether a stored part of a configuration is what is asked for, or a shorter run."""
-    if not isinstance(asked, Config):
-        return bool(asked == stored)
+def is_same(requested: Any, stored: Any) -> bool:
+    """Return whether a stored part of a configuration is the requested one, or a shorter run."""
+    if not isinstance(requested, Config):
+        return bool(requested == stored)
     longer = {
-        name: getattr(asked, name)
+        name: getattr(requested, name)
         for name in LENGTHS
-        if isinstance(stored, Mapping) and 0 < stored.get(name, 0) <= getattr(asked, name, 0)
+        if isinstance(stored, Mapping) and 0 < stored.get(name, 0) <= getattr(requested, name, 0)
     }
-    return asked.equals({**stored, **longer} if longer else stored)
+    return requested.equals({**stored, **longer} if longer else stored)
 
 
 class RunFolder:
     """
-    A folder with run.json (what was asked), curve.jsonl, state.pt and best.safetensors.
+    A folder with run.json (configuration), curve.jsonl, state.pt and best.safetensors.
 
     It belongs to one process, which locks it; of several, to the first. TensorBoard reads its
     curves from the same folder.
     """
 
     def __init__(self, folder: Path, record: Mapping[str, Any]) -> None:
-        """Make the folder, or find its run; record is plain data but for parts of its config."""
-        asked_for = record['config']
+        """Create the folder, or open its run; record is plain data but for parts of its config."""
+        requested = record['config']
         config = {
             name: value.to_dict() if isinstance(value, Config) else value
-            for name, value in asked_for.items()
+            for name, value in requested.items()
         }
         self.folder, self.record = folder, {**record, 'config': config}
         self.best, self.best_score = folder / 'best.safetensors', -math.inf
         self.state, self.curve = folder / 'state.pt', folder / 'curve.jsonl'
         self.seconds = 0.0  # that it took
         self._board: Any = None
-        asked = folder / 'run.json'
-        self.found = asked.exists()
+        run_file = folder / 'run.json'
+        self.resumes = run_file.exists()
         if rank() > 0:
             return
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
-        before = self._stored(asked) if self.found else {}
-        if self.found and not (
-            before.keys() == asked_for.keys()
-            and all(is_same(value, before[name]) for name, value in asked_for.items())
+        stored = self._stored(run_file) if self.resumes else {}
+        if self.resumes and not (
+            stored.keys() == requested.keys()
+            and all(is_same(value, stored[name]) for name, value in requested.items())
         ):
             raise ConfigError(
                 f'{folder} holds a run with another configuration: expected the same, or more '
@@ -78,25 +78,25 @@ class RunFolder:
                 'the folder'
             )
         self._lock()
-        if before != config:
+        if stored != config:
             text = json.dumps(self.record, indent=1)
-            replace_file(asked, lambda file: file.write(text.encode()))
+            replace_file(run_file, lambda file: file.write(text.encode()))
         if self.best.exists():
             score = read_checkpoint_metadata(self.best)[1].get('eval', {}).get('score', -math.inf)
             self.best_score = score if math.isfinite(score) else -math.inf
 
-    def _stored(self, asked: Path) -> dict[str, Any]:
-        """Return the configuration of the run that is there."""
+    def _stored(self, path: Path) -> dict[str, Any]:
+        """Return the configuration of the stored run."""
         try:
-            return dict(json.loads(asked.read_text(encoding='utf-8'))['config'])
+            return dict(json.loads(path.read_text(encoding='utf-8'))['config'])
         except STATE_ERRORS as error:
             raise ConfigError(
-                f'{asked} cannot be read ({error!s:.200}): expected that of a run; choose another '
+                f'{path} cannot be read ({error!s:.200}): expected that of a run; choose another '
                 '--out, or remove the folder'
             ) from error
 
     def _lock(self) -> None:
-        """Keep others out until close(), or until the process ends."""
+        """Lock the folder until close(), or until the process ends."""
         with writing(self.folder):
             self.lock = (self.folder / 'lock').open('w')
         try:
@@ -108,21 +108,21 @@ class RunFolder:
             ) from None
 
     def close(self) -> None:
-        """Let others in."""
+        """Release the lock of the folder."""
         if rank() == 0:
             self.lock.close()
 
     def load(self, trainer: Trainer) -> dict[str, Any] | None:
-        """Go on from the state that was saved last; return the line that the curve lacks."""
-        kept: Any = None
+        """Restore the last saved state; return the line that the curve lacks, or None."""
+        saved: Any = None
         try:
             if rank() == 0 and self.state.exists():
-                kept = torch.load(self.state, weights_only=True, map_location='cpu')
-            kept = from_first(kept)
-            if kept is None:
+                saved = torch.load(self.state, weights_only=True, map_location='cpu')
+            saved = broadcast(saved)
+            if saved is None:
                 self.curve.unlink(missing_ok=True)
                 return None
-            states, line, self.seconds = kept['ranks'], kept['line'], kept['seconds']
+            states, line, self.seconds = saved['ranks'], saved['line'], saved['seconds']
             if len(states) != ranks():
                 raise ConfigError(f'{len(states)} processes, expected {ranks()}, as now')
             trainer.load_state_dict(states[rank()])
@@ -134,7 +134,7 @@ class RunFolder:
         return self._cut(trainer.progress['updates'], line) if rank() == 0 else None
 
     def _cut(self, updates: int, line: dict[str, Any] | None) -> dict[str, Any] | None:
-        """Cut the curve to so many updates; return the line of the last if it lacks it."""
+        """Cut the curve to a number of updates; return the line if the curve lacks it."""
         lines: list[str] = []
         with suppress(FileNotFoundError):
             lines = self.curve.read_text(encoding='utf-8').splitlines(keepends=True)
@@ -154,7 +154,7 @@ class RunFolder:
         if ranks() > 1:
             buffer = io.BytesIO()
             torch.save(states[0], buffer)
-            parts = [io.BytesIO(part) for part in gathered(buffer.getvalue())]
+            parts = [io.BytesIO(part) for part in gather(buffer.getvalue())]
             states = [torch.load(part, weights_only=True, map_location='cpu') for part in parts]
         if rank() == 0:
             state = {'ranks': states, 'line': line, 'seconds': self.seconds}
@@ -166,18 +166,18 @@ class RunFolder:
         """Keep a policy if its score is the best so far; return the results as part of a line."""
         if results['score'] > self.best_score:
             self.best_score = results['score']
-            about = {'progress': dict(progress), 'eval': dict(results)}
+            results_record = {'progress': dict(progress), 'eval': dict(results)}
             with writing(self.best):
-                save_policy(self.best, policy, self.record | about)
+                save_policy(self.best, policy, self.record | results_record)
         return {f'eval/{name}': value for name, value in results.items()}
 
     def write(self, line: Mapping[str, Any]) -> None:
         """Add a line to the curve, and its numbers to TensorBoard."""
         numbers = {name: value for name, value in line.items() if isinstance(value, float)}
-        odd = {name: None for name, value in numbers.items() if not math.isfinite(value)}
+        not_finite = {name: None for name, value in numbers.items() if not math.isfinite(value)}
         with writing(self.curve):
             with self.curve.open('a', encoding='utf-8') as file:
-                file.write(json.dumps({**line, **odd}) + '\n')
+                file.write(json.dumps({**line, **not_finite}) + '\n')
                 file.flush()
                 os.fsync(file.fileno())
             if self._board is None:

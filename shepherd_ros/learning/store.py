@@ -14,11 +14,11 @@ class Store:
     """
     Readings of groups of worlds, a row for each decision; windows of frames move over the rows.
 
-    Readings are scaled, in the dtype of the work; stacks of frames are put together when they are
-    read, and do not reach over the start of an episode.
+    Readings are scaled, in the dtype of the computation; stacks of frames are assembled when they
+    are read, and do not reach over the start of an episode.
     """
 
-    KEPT = ('store', 'first', 'begun', 'mask')
+    STATE = ('store', 'first', 'begun', 'mask')
 
     def __init__(
         self,
@@ -29,7 +29,7 @@ class Store:
         decisions: int,
         dtype: torch.dtype,
     ) -> None:
-        """Make an empty store for so many decisions, on the device of the policy."""
+        """Create an empty store for a number of decisions, on the device of the policy."""
         self.policy, self.decisions, device = policy, decisions, policy.device
         self.before = policy.config.frames.window - 1  # rows kept from earlier decisions
         shape = (groups, self.before + decisions + 1, worlds, team)
@@ -41,22 +41,24 @@ class Store:
         self.mask = torch.zeros(shape, dtype=torch.bool, device=device)
 
     def put(self, group: int, row: int, moment: Moment, starts: bool = False) -> None:
-        """Put the observations of a group in a row; starts: its episode begins there."""
+        """Store the observations of a group in a row; starts: its episode begins there."""
         self.store[group, row] = self.policy.scale(moment.ranges).to(self.store.dtype)
         self.first[group, row] = self.policy.first_ray(moment.ranges)
         self.begun[group, row] = row if starts else self.begun[group, row - 1]
         self.mask[group, row] = moment.state.shepherd_mask
 
     def present(self, row: int, groups: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return indices (n,) of the shepherds of some groups that are there in a row."""
+        """Return four indices (n,) of the present shepherds of some groups in a row."""
         g, world, shepherd = self.mask[groups, row].nonzero().unbind(dim=-1)
         return groups[g], torch.full_like(g, row), world, shepherd
 
     def rows_of(self, g: Tensor, row: Tensor, world: Tensor, shepherd: Tensor) -> Tensor:
         """Return the rows (n, K) of the flat store that hold the frames of n decisions."""
-        seen = self.policy.config.frames.rows(row, self.begun[g, row])
+        frame_rows = self.policy.config.frames.rows(row, self.begun[g, row])
         _, rows, worlds, team = self.mask.shape
-        return ((g[:, None] * rows + seen) * worlds + world[:, None]) * team + shepherd[:, None]
+        return ((g[:, None] * rows + frame_rows) * worlds + world[:, None]) * team + shepherd[
+            :, None
+        ]
 
     def frames(self, rows: Tensor) -> Tensor:
         """Return the frames (n, K, C, R) in rows (n, K) of the flat store."""
@@ -67,17 +69,17 @@ class Store:
         return self.policy.arrange(self.frames(rows), first)
 
     def roll(self) -> None:
-        """Make room for the next decisions; rows of the last ones are void afterwards."""
-        for kept in (self.store, self.first, self.mask):
-            kept[:, : self.before + 1] = kept[:, self.decisions :].clone()
+        """Make room for the next decisions; rows of the last ones are invalid afterwards."""
+        for tensor in (self.store, self.first, self.mask):
+            tensor[:, : self.before + 1] = tensor[:, self.decisions :].clone()
         begun = self.begun[:, self.decisions :] - self.decisions
         self.begun[:, : self.before + 1] = begun.clamp(min=0)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the rows that later decisions read, after roll()."""
-        return {name: getattr(self, name)[:, : self.before + 1].clone() for name in self.KEPT}
+        return {name: getattr(self, name)[:, : self.before + 1].clone() for name in self.STATE}
 
-    def load_state_dict(self, kept: dict[str, Any]) -> None:
+    def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the state that state_dict() returned."""
-        for name in self.KEPT:
-            getattr(self, name)[:, : self.before + 1] = kept[name]
+        for name in self.STATE:
+            getattr(self, name)[:, : self.before + 1] = state[name]

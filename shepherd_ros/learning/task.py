@@ -1,4 +1,4 @@
-"""Task of a training: the worlds that its episodes are drawn from."""
+"""Task of a training: the distribution of the worlds of its episodes."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def draw_environment(task: TaskConfig, seed: int) -> EnvConfig:
 
 
 def base_world(task: TaskConfig, flock: str) -> WorldConfig:
-    """Return the world of a flock model as training starts it."""
+    """Return the world of a flock model with the starts of training."""
     world = training_world(world_preset(task.preset, flock))
     spawn = replace(
         world.spawn,

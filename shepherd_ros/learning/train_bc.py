@@ -1,4 +1,4 @@
-"""Behaviour cloning from bags: any number of them, of which one episode is in memory at a time."""
+"""Behaviour cloning from any number of bags, with one episode in memory at a time."""
 
 from __future__ import annotations
 
@@ -66,22 +66,22 @@ def stream_examples(
     drivers: Collection[str] = (),
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     """
-    Yield scaled frames (n, K, C, R), ray in front (n,), wanted action (n, 2) episode by episode.
+    Yield scaled frames (n, K, C, R), first ray (n,) and target (n, 2) m/s, episode by episode.
 
     Arguments are those of stream_steps().
     """
     for _, steps in stream_steps(places, report, seed, labels, drivers):
         require_fit(steps, policy.config)
-        found = examples_of(steps, policy.config.observation, report, drivers)
-        if found is not None:
-            frames = found.frames()
+        examples = examples_of(steps, policy.config.observation, report, drivers)
+        if examples is not None:
+            frames = examples.frames()
             first = policy.first_ray(frames[:, -1])
-            wanted = rotate_by_ray(found.wanted, -first, frames.shape[-1])
-            yield policy.scale(frames), first, wanted
+            target = rotate_by_ray(examples.wanted, -first, frames.shape[-1])
+            yield policy.scale(frames), first, target
 
 
 class BCTrainer:
-    """The examples of bags, of which an epoch may be cut off and go on."""
+    """Training on the examples of bags; an epoch can be interrupted and resumed."""
 
     eval_freq = 1
 
@@ -90,69 +90,69 @@ class BCTrainer:
         self.policy, self.places, self.config = policy, places, config
         self.dtype = fast_dtype()
         self.examples = Examples(policy, config.buffer_size, self.dtype)
-        self.cloner = CloneLearner(deepcopy(policy), config.clone, config.seed)
+        self.learner = CloneLearner(deepcopy(policy), config.clone, config.seed)
         self.report = Report()
         self.progress = {'updates': 0, 'samples': 0}
-        self.read = 0  # episodes of this epoch
-        self.due = 0.0  # batches
+        self.episodes_read = 0  # episodes of this epoch
+        self.batches_due = 0.0  # batches
         self.losses: list[float] = []
 
     def share(self) -> float:
-        """Return which share of the epochs is done."""
+        """Return the fraction of the epochs that is done."""
         return self.progress['updates'] / self.config.epochs
 
     def averaged(self) -> Policy:
         """Return the policy with the running mean of the weights."""
-        return self.cloner.averaged(self.policy)
+        return self.learner.averaged(self.policy)
 
     def update(self, stopping: Callable[[], bool]) -> dict[str, float] | None:
-        """Learn for the rest of an epoch; return its loss, None if it is cut off."""
+        """Train for the rest of an epoch; return its loss, None if it is interrupted."""
         config, progress, self.report = self.config, self.progress, Report()
-        self.cloner.slow_down(1 - 0.95 * self.share())
+        self.learner.scale_learning_rate(1 - 0.95 * self.share())
         order = int(mixed_seeds(1, config.seed, progress['updates']))
         drivers = driver_names(config.drivers)
         stream = stream_examples(
             self.places, self.policy, self.report, order, config.labels, drivers
         )
-        for number, (frames, first, wanted) in enumerate(stream):
-            if number < self.read:
+        for number, (frames, first, target) in enumerate(stream):
+            if number < self.episodes_read:
                 continue
-            self.examples.add(frames, first, wanted)
-            self.due += config.replay_ratio * len(first) / config.clone.batch_size
-            while self.due >= 1:
-                self.losses.append(self.cloner.take_step(self.examples))
+            self.examples.add(frames, first, target)
+            self.batches_due += config.replay_ratio * len(first) / config.clone.batch_size
+            while self.batches_due >= 1:
+                self.losses.append(self.learner.train_batch(self.examples))
                 progress['samples'] += config.clone.batch_size
-                self.due -= 1
-            self.read = number + 1
+                self.batches_due -= 1
+            self.episodes_read = number + 1
             if stopping():
                 return None
         if not self.report.examples:
             raise ConfigError(f'no step of the bags can be learned from:\n{self.report.text()}')
         if not self.losses:  # fewer examples than one batch has
-            self.losses.append(self.cloner.take_step(self.examples))
+            self.losses.append(self.learner.train_batch(self.examples))
         loss = sum(self.losses) / len(self.losses)
         progress['updates'] += 1
         self.averaged()
-        self.read, self.due, self.losses = 0, 0.0, []
-        seen = {name: getattr(self.report, name) for name in ('episodes', 'partial_episodes')}
-        return {'loss': loss, **seen}
+        self.episodes_read, self.batches_due, self.losses = 0, 0.0, []
+        counts = {name: getattr(self.report, name) for name in ('episodes', 'partial_episodes')}
+        return {'loss': loss, **counts}
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of the training."""
         return {
-            'cloner': self.cloner.state_dict(),
+            'cloner': self.learner.state_dict(),
             'examples': self.examples.state_dict(),
             'progress': dict(self.progress),
-            'epoch': (self.read, self.due, self.losses),
+            'epoch': (self.episodes_read, self.batches_due, self.losses),
         }
 
-    def load_state_dict(self, kept: dict[str, Any]) -> None:
+    def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the state that state_dict() returned."""
-        self.cloner.load_state_dict(kept['cloner'])
+        self.learner.load_state_dict(state['cloner'])
         self.averaged()
-        self.examples.load_state_dict(kept['examples'])
-        self.progress = dict(kept['progress'])
-        self.read, self.due, self.losses = kept['epoch']
+        self.examples.load_state_dict(state['examples'])
+        self.progress = dict(state['progress'])
+        self.episodes_read, self.batches_due, self.losses = state['epoch']
 
 
 def train_bc(
@@ -165,10 +165,10 @@ def train_bc(
     """
     Fit a policy to bags or data sets, in place; return the report on them.
 
-    Examples go through a store from which batches are drawn, so that neighbours in time are
-    learned apart. What is judged and kept is a running mean of the weights. Raises ConfigError
-    if the bags hold no example.
+    Examples go through a store from which batches are drawn, so that batches mix episodes. The
+    policy that is evaluated and kept is a running mean of the weights. Raises ConfigError if the
+    bags hold no example.
     """
     trainer = BCTrainer(policy, places, config)
-    TrainingLoop(run, trainer, on_line).go_on()
+    TrainingLoop(run, trainer, on_line).run_to_end()
     return trainer.report

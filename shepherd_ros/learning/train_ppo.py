@@ -45,7 +45,7 @@ class PPORunConfig(Config):
 
 
 class PPOTrainer:
-    """The policy, what it learns with, and the worlds of the present stage."""
+    """The policy, its learner, and the worlds of the present stage."""
 
     def __init__(self, policy: Policy, config: PPORunConfig) -> None:
         """Start in the first stage."""
@@ -58,7 +58,7 @@ class PPOTrainer:
         self.enter(0)
 
     def enter(self, stage: int) -> None:
-        """Go on in a stage, with new worlds."""
+        """Begin a stage, with new worlds."""
         config = self.config
         self.progress['stage'] = stage
         self.policy = self.learner.policy = self.policy.with_config(self.stages[stage])
@@ -73,7 +73,7 @@ class PPOTrainer:
         )
 
     def share(self) -> float:
-        """Return which share of the samples is used up."""
+        """Return the fraction of the samples that is used."""
         return self.progress['samples'] / self.config.samples
 
     def averaged(self) -> Policy:
@@ -81,16 +81,16 @@ class PPOTrainer:
         return self.learner.averaged()
 
     def update(self, stopping: Callable[[], bool]) -> dict[str, float]:
-        """Collect and learn once; return logged scalars."""
+        """Collect a batch and train on it; return logged scalars."""
         config, repeat = self.config, self.policy.config.action_repeat
-        used = self.share()
+        fraction = self.share()
         # a run that is given more samples does not go back to stages that it has left
-        stage = max(stage_at(used, len(self.stages), config.anneal), self.progress['stage'])
+        stage = max(stage_at(fraction, len(self.stages), config.anneal), self.progress['stage'])
         if stage != self.progress['stage']:
             self.enter(stage)
             repeat = self.policy.config.action_repeat
-        begun = time.monotonic()
-        self.learner.slow_down(1 - used)
+        started = time.monotonic()
+        self.learner.scale_learning_rate(1 - fraction)
         gamma = discount(config.ppo.gamma, self.policy.config)
         scale = 100 * (1 - gamma) / repeat
         batch, scalars = self.rollout.collect(gamma, config.ppo.gae_lambda, scale)
@@ -100,9 +100,9 @@ class PPOTrainer:
         self.rollout.roll()
         self.progress['samples'] += int(total(len(batch.value)))
         self.progress['updates'] += 1
-        made = config.groups * config.worlds * config.decisions * repeat
-        self.progress['world_steps'] += made * ranks()
-        scalars['rollout_share'] = (collected - begun) / (time.monotonic() - begun)
+        steps = config.groups * config.worlds * config.decisions * repeat
+        self.progress['world_steps'] += steps * ranks()
+        scalars['rollout_share'] = (collected - started) / (time.monotonic() - started)
         return scalars | {'action_repeat': float(repeat)}
 
     def state_dict(self) -> dict[str, Any]:
@@ -114,13 +114,13 @@ class PPOTrainer:
             'progress': dict(self.progress),
         }
 
-    def load_state_dict(self, kept: dict[str, Any]) -> None:
+    def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the state that state_dict() returned."""
-        self.progress = dict(kept['progress'])
+        self.progress = dict(state['progress'])
         self.enter(int(self.progress['stage']))
-        self.learner.load_state_dict(kept['learner'])
-        self.rollout.load_state_dict(kept['rollout'])
-        self.generator.set_state(kept['generator'].to('cpu'))
+        self.learner.load_state_dict(state['learner'])
+        self.rollout.load_state_dict(state['rollout'])
+        self.generator.set_state(state['generator'].to('cpu'))
 
 
 def train_ppo(
@@ -130,10 +130,10 @@ def train_ppo(
     on_line: Callable[[dict[str, Any]], None] = lambda line: None,
 ) -> Policy:
     """
-    Learn until the samples are used up; return the policy, whose weights change in place.
+    Train until the samples are used up; return the policy, whose weights change in place.
 
-    What is evaluated and kept is a running mean of the weights, which is steadier than the newest.
+    The policy that is evaluated and kept is a running mean of the weights.
     """
     trainer = PPOTrainer(policy, config)
-    TrainingLoop(run, trainer, on_line).go_on()
+    TrainingLoop(run, trainer, on_line).run_to_end()
     return trainer.policy

@@ -1,4 +1,4 @@
-"""What a training loop asks of PPO, cloning and DAgger."""
+"""The interface of PPO, cloning and DAgger for the training loop."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import torch
 
 
 class Trainer(Protocol):
-    """What learns, update by update, and goes on from a state."""
+    """A trainer that runs update by update, and resumes from a state."""
 
     config: Any  # with eval_episodes, eval_steps and the task
     eval_freq: int  # updates from one evaluation to the next
     policy: Policy
     dtype: torch.dtype
-    progress: dict[str, Any]  # `updates`, `samples` and what else a line begins with
+    progress: dict[str, Any]  # `updates`, `samples` and other fields at the front of a line
 
     def share(self) -> float:
-        """Return which share of the whole is done; at least 1 at the end."""
+        """Return the fraction of the training that is done; at least 1 at the end."""
 
     def update(self, stopping: Callable[[], bool]) -> dict[str, float] | None:
-        """Learn once; return logged scalars, None if it stopped in between as it was told to."""
+        """Run one update; return logged scalars, None if stopping() interrupted it."""
 
     def averaged(self) -> Policy:
         """Return the policy to evaluate and to keep."""

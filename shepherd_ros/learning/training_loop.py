@@ -23,39 +23,39 @@ from shepherd_ros.learning.validation import validate
 
 
 class TrainingLoop:
-    """A trainer that learns until all is done, and the folder of its run."""
+    """The loop of a trainer, until all is done, with the folder of its run."""
 
     def __init__(
         self, run: RunFolder, trainer: Trainer, on_line: Callable[[dict[str, Any]], None]
     ) -> None:
-        """Take what learns and where it is kept; on_line hears each line of the curve."""
+        """Use a trainer and the folder of its run; on_line(line) gets each line of the curve."""
         self.run, self.trainer, self.on_line = run, trainer, on_line
         self.signal, self.saved = 0, False
 
-    def go_on(self) -> None:
-        """Go on where the run is, until all is done."""
+    def run_to_end(self) -> None:
+        """Resume the run, and train until all is done."""
         run, trainer = self.run, self.trainer
         with self._signals():
             line = run.load(trainer)
             if line is not None:
                 self._finish(line)
-            begun = time.monotonic() - run.seconds
+            started = time.monotonic() - run.seconds
             while trainer.share() < 1:
-                seen = trainer.update(self.stopping)
-                run.seconds = time.monotonic() - begun
+                scalars = trainer.update(self.stopping)
+                run.seconds = time.monotonic() - started
                 line, stop = None, self.stopping()
-                if seen is not None:
-                    self._require_finite(seen)
-                    line = self._line(seen)
-                if stop or self._due():
+                if scalars is not None:
+                    self._require_finite(scalars)
+                    line = self._line(scalars)
+                if stop or self._evaluation_due():
                     run.save(trainer, line)
                 if stop:
-                    self._leave()
+                    self._exit()
                 if line is not None and rank() == 0:
                     self._finish(line)
-                    run.seconds = time.monotonic() - begun
+                    run.seconds = time.monotonic() - started
 
-    def _line(self, seen: Mapping[str, float]) -> dict[str, Any]:
+    def _line(self, scalars: Mapping[str, float]) -> dict[str, Any]:
         """Return the line of an update."""
         progress, seconds = self.trainer.progress, self.run.seconds
         return {
@@ -63,24 +63,24 @@ class TrainingLoop:
             'seconds': seconds,
             'samples_per_second': progress['samples'] / seconds,
             'seconds_left': seconds * max(1 / self.trainer.share() - 1, 0),
-            **seen,
+            **scalars,
         }
 
     def stopping(self) -> bool:
-        """Return whether a process was told to end; all processes ask at the same places."""
+        """Return whether any process got a stop signal; a collective call of all processes."""
         return total(float(self.signal > 0)) > 0
 
-    def _due(self) -> bool:
+    def _evaluation_due(self) -> bool:
         """Return whether the policy is evaluated after this update."""
         done = self.trainer.progress['updates']
         return self.trainer.share() >= 1 or done % self.trainer.eval_freq == 0
 
     def _finish(self, line: dict[str, Any]) -> None:
         """Evaluate where it is due, and write the line."""
-        if self._due():
+        if self._evaluation_due():
             self.saved, config, policy = True, self.trainer.config, self.trainer.averaged()
             if self.signal:
-                self._leave()
+                self._exit()
             results = validate(
                 policy, config.task, config.eval_episodes, config.eval_steps, self.trainer.dtype
             )
@@ -89,44 +89,44 @@ class TrainingLoop:
         self.run.write(line)
         self.on_line(line)
 
-    def _require_finite(self, seen: Mapping[str, float]) -> None:
-        """Raise ConfigError for a learner that is broken; nothing of it is kept."""
-        wrong = [name for name, value in seen.items() if not math.isfinite(value)]
+    def _require_finite(self, scalars: Mapping[str, float]) -> None:
+        """Raise ConfigError for scalars or weights that are not finite."""
+        not_finite = [name for name, value in scalars.items() if not math.isfinite(value)]
         weights = self.trainer.policy.state_dict().items()
-        wrong += [name for name, weight in weights if not weight.isfinite().all()]
-        if wrong:
+        not_finite += [name for name, weight in weights if not weight.isfinite().all()]
+        if not_finite:
             raise ConfigError(
-                f'{wrong[0]} is not finite after update {self.trainer.progress["updates"]}: '
+                f'{not_finite[0]} is not finite after update {self.trainer.progress["updates"]}: '
                 f'expected numbers; lower the learning rates; {self.run.folder} keeps what was '
                 'before'
             )
 
     @contextmanager
     def _signals(self) -> Iterator[None]:
-        """Hear SIGINT and SIGTERM: the first waits for a state that can be saved."""
+        """Handle SIGINT and SIGTERM: the first one ends the training after a saved state."""
 
-        def hear(number: int, frame: Any) -> None:
-            again, self.signal = self.signal > 0, number
-            if again or self.saved:
-                self._leave()
+        def on_signal(number: int, frame: Any) -> None:
+            repeated, self.signal = self.signal > 0, number
+            if repeated or self.saved:
+                self._exit()
 
-        there = threading.current_thread() is threading.main_thread()
-        numbers = (signal.SIGINT, signal.SIGTERM) if there else ()
-        heard = [n for n in numbers if signal.getsignal(n) is not signal.SIG_IGN]
-        before = {number: signal.signal(number, hear) for number in heard}
+        in_main_thread = threading.current_thread() is threading.main_thread()
+        numbers = (signal.SIGINT, signal.SIGTERM) if in_main_thread else ()
+        handled = [n for n in numbers if signal.getsignal(n) is not signal.SIG_IGN]
+        old_handlers = {number: signal.signal(number, on_signal) for number in handled}
         try:
             yield
         except RuntimeError:  # others have left while this process waited for them
             if not self.signal:
                 raise
-            self._leave()
+            self._exit()
         finally:
-            for number, handler in before.items():
+            for number, handler in old_handlers.items():
                 signal.signal(number, handler)
             self.run.close()
 
-    def _leave(self) -> None:
-        """End as the signal asks for."""
+    def _exit(self) -> None:
+        """Raise the exception that belongs to the signal."""
         if self.signal == signal.SIGINT:
             raise KeyboardInterrupt
         raise SystemExit(128 + (self.signal or signal.SIGTERM))

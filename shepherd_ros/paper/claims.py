@@ -26,23 +26,23 @@ Where = Callable[[Array], NDArray[np.bool_]]  # which points of the axis
 
 
 class MissingError(Exception):
-    """Error for a quantity that needs rows that are not there."""
+    """Error for a quantity whose rows are missing."""
 
 
 class Sweep:
     """Means over the axis of an experiment, (P, draws) each, of a policy and the baselines."""
 
     def __init__(self, samples: Samples, policy: str, to_completion: bool = False) -> None:
-        """Take the samples; policy stands for the paper's RL, empty if there is none."""
+        """Use samples; policy stands for the paper's RL, '' without one."""
         self.samples, self.policy, self.to_completion = samples, policy, to_completion
-        self.asked: set[tuple[str, str]] = set()  # method and metric of which means were taken
+        self.used_means: set[tuple[str, str]] = set()  # method and metric
         axis = samples.experiment.axes[0]
         points = range(len(samples.settings)) if axis == 'case' else samples.axis(axis)
         self.x: Array = np.array([float(x) for x in points])
 
     def mean(self, method: str, metric: str, where: Where | None = None) -> Array:
-        """Return means of RL, strombom or pierson, (P, 1 + draws); the first is not drawn."""
-        self.asked.add((method, metric))
+        """Return means of RL, strombom or pierson, (P, 1 + draws): the mean, then resamples."""
+        self.used_means.add((method, metric))
         name = self.policy if method == 'RL' else method
         metric = TO_COMPLETION.get(metric, metric) if self.to_completion else metric
         if (name, metric) not in self.samples.values:
@@ -55,8 +55,8 @@ class Sweep:
             values = values[chosen]
         if np.isnan(values).any():
             raise MissingError(f'rows of {name} are not complete')
-        own = values.mean(axis=-1, keepdims=True)
-        return np.concatenate([own, resampled_means(values)], axis=-1)
+        mean = values.mean(axis=-1, keepdims=True)
+        return np.concatenate([mean, resampled_means(values)], axis=-1)
 
     def at(self, method: str, metric: str, x: float) -> Array:
         """Return the means at one point, (1 + draws,)."""
@@ -68,7 +68,7 @@ Quantity = Callable[[Sweep], Array]  # -> (1 + draws,)
 
 @dataclass(frozen=True)
 class Clause:
-    """A number, and the bounds within which it is what the paper states."""
+    """A number, and the bounds within which it agrees with the paper."""
 
     text: str
     quantity: Quantity
@@ -106,18 +106,18 @@ class ClauseFinding:
     reason: str = ''
 
 
-def verdict(low: float, high: float, least: float, most: float) -> str:
+def verdict(low: float, high: float, lower: float, upper: float) -> str:
     """
-    Return the verdict on a number with interval [low, high] that should be in [least, most].
+    Return the verdict on a number with interval [low, high] and bounds [lower, upper].
 
     Agrees if the whole interval lies within the bounds, disagrees if none of it does, else
     undecided; also undecided without an interval.
     """
     if not (math.isfinite(low) and math.isfinite(high)):
         return UNDECIDED
-    if least <= low and high <= most:
+    if lower <= low and high <= upper:
         return AGREES
-    return DISAGREES if high < least or low > most else UNDECIDED
+    return DISAGREES if high < lower or low > upper else UNDECIDED
 
 
 def finding_of(clause: Clause, sweep: Sweep) -> ClauseFinding:
@@ -127,12 +127,12 @@ def finding_of(clause: Clause, sweep: Sweep) -> ClauseFinding:
         return ClauseFinding(clause, nan, nan, nan, UNDECIDED, 'a single episode has no interval')
     try:
         with np.errstate(divide='ignore', invalid='ignore'):  # then there is no verdict
-            drawn = clause.quantity(sweep)
+            resampled = clause.quantity(sweep)
     except MissingError as error:
         return ClauseFinding(clause, nan, nan, nan, UNDECIDED, str(error))
-    low, high = (float(end) for end in percentiles(drawn[1:]))
+    low, high = (float(end) for end in percentiles(resampled[1:]))
     return ClauseFinding(
-        clause, float(drawn[0]), low, high, verdict(low, high, clause.low, clause.high)
+        clause, float(resampled[0]), low, high, verdict(low, high, clause.low, clause.high)
     )
 
 

@@ -32,7 +32,7 @@ class Curve:
 
     @property
     def policy(self) -> str:
-        """Return the name without what comes after a dot: trainings of one policy share it."""
+        """Return the name up to a dot, which trainings of one policy share."""
         return self.name.partition('.')[0]
 
 
@@ -55,17 +55,17 @@ def read_curve(path: Path) -> Curve:
 
 
 def find_curves(paths: Sequence[Path]) -> list[Curve]:
-    """Return the curves of files, runs, and folders of either; ConfigError if one is not there."""
-    found: list[Path] = []
+    """Return the curves of files, runs, and folders of either; ConfigError if one is missing."""
+    runs: list[Path] = []
     for path in paths:
         if not path.exists():
             raise ConfigError(f'--curves is {path}: expected a curve, a run, or a folder of them')
         if path.is_file() or (path / 'curve.jsonl').exists():
-            found.append(path)
+            runs.append(path)
             continue
-        found += sorted(path.glob('*.jsonl'))
-        found += sorted(run.parent for run in path.glob('*/curve.jsonl'))
-    return [curve for curve in map(read_curve, found) if len(curve.samples)]
+        runs += sorted(path.glob('*.jsonl'))
+        runs += sorted(run.parent for run in path.glob('*/curve.jsonl'))
+    return [curve for curve in map(read_curve, runs) if len(curve.samples)]
 
 
 def smoothed(curve: Curve, window: float = SMOOTHING_WINDOW) -> Array:
@@ -81,25 +81,25 @@ def rise_and_end(curve: Curve) -> tuple[float, float]:
     last = curve.samples[-1]
     late = curve.samples >= (1 - END_SHARE) * last
     tenth = max(len(curve.samples) // 10, 1)
-    whole = float(curve.returns[-tenth:].mean() - curve.returns[:tenth].mean())
-    if late.sum() < 2 or whole == 0:
-        return whole, float('nan')
+    rise = float(curve.returns[-tenth:].mean() - curve.returns[:tenth].mean())
+    if late.sum() < 2 or rise == 0:
+        return rise, float('nan')
     slope = float(np.polyfit(curve.samples[late], curve.returns[late], 1)[0])
-    return whole, slope * END_SHARE * float(last) / whole
+    return rise, slope * END_SHARE * float(last) / rise
 
 
 def curve_verdict(curve: Curve) -> tuple[str, str]:
     """
     Return verdict and reason on: the curve rises and flattens within 100 million samples.
 
-    One that was ended before that and still rises is undecided, and so is a flat one of less than
-    ENOUGH samples.
+    One that ended before that and still rises is undecided, and so is a flat one of less than
+    MIN_SAMPLES samples.
     """
     if len(curve.samples) < MIN_POINTS:
         return UNDECIDED, f'only {len(curve.samples)} points'
-    whole, end = rise_and_end(curve)
-    text = f'rises by {whole:.3g}, {100 * end:.0f} % of it in the last fifth'
-    if whole <= 0:
+    rise, end = rise_and_end(curve)
+    text = f'rises by {rise:.3g}, {100 * end:.0f} % of it in the last fifth'
+    if rise <= 0:
         return DISAGREES, 'does not rise'
     flat, last = abs(end) < FLAT_RISE, curve.samples[-1]
     if (flat and last < MIN_SAMPLES) or (not flat and last < PAPER_SAMPLES):

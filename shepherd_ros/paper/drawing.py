@@ -1,4 +1,4 @@
-"""Marks, axes and files of figures; line style, marker and label tell methods apart."""
+"""Styles, axes and files of figures; methods differ in line style, marker and label."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SPARE_STYLES = [
 
 
 def style_of(name: str, names: Iterable[str]) -> dict[str, Any]:
-    """Return how a method is drawn, the same in all pictures if its checkpoint is shipped."""
+    """Return the line style of a method, the same in all pictures if its checkpoint is shipped."""
     known = dict.fromkeys([*(f'policy:{c}' for c in shipped_checkpoints()), *names])
     free = [other for other in known if kind_of(other).style is None]
     color, line, marker = kind_of(name).style or SPARE_STYLES[free.index(name) % len(SPARE_STYLES)]
@@ -47,7 +47,7 @@ def style_of(name: str, names: Iterable[str]) -> dict[str, Any]:
 
 
 def new_figure(rows: int, columns: int, width: float, height: float) -> tuple[Figure, Any]:
-    """Return a figure with panels (rows, columns), each so wide and high [inch]."""
+    """Return a figure with panels (rows, columns), each of a width and height [inch]."""
     size = (width * columns, height * rows + 0.5)
     figure = Figure(figsize=size, dpi=110, facecolor='white', layout='constrained')
     FigureCanvasAgg(figure)
@@ -64,7 +64,7 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
 
 
 def tidy(axes: Axes, x: str, y: str, title: str = '') -> None:
-    """Name the axes and make the frame light."""
+    """Set labels, title and a light frame."""
     axes.set_xlabel(x, color=INK, fontsize=9)
     axes.set_ylabel(y, color=INK, fontsize=9)
     axes.set_title(title, fontsize=9, color=INK, loc='left')
@@ -93,29 +93,29 @@ def direct_labels(
 
 def spaced(heights: Array, gap: float) -> Array:
     """Return ascending heights (K,), moved apart to a gap at least, below 1 if there is room."""
-    found = np.array(heights)
-    for k in range(1, len(found)):
-        found[k] = max(found[k], found[k - 1] + gap)
-    top = max(1.0, gap * (len(found) - 1))
-    for k in reversed(range(len(found))):
-        found[k] = min(found[k], top)
-        top = found[k] - gap
-    return found
+    result = np.array(heights)
+    for k in range(1, len(result)):
+        result[k] = max(result[k], result[k - 1] + gap)
+    top = max(1.0, gap * (len(result) - 1))
+    for k in reversed(range(len(result))):
+        result[k] = min(result[k], top)
+        top = result[k] - gap
+    return result
 
 
 def axis_label(metric: str) -> str:
     """Return the title of a metric with its unit."""
-    found = METRICS[metric]
-    return found.title if f'[{found.unit}]' in found.title else f'{found.title} [{found.unit}]'
+    entry = METRICS[metric]
+    return entry.title if f'[{entry.unit}]' in entry.title else f'{entry.title} [{entry.unit}]'
 
 
 def mean_and_bars(values: Array) -> tuple[Array, Array]:
-    """Return means of (..., E), and how far the ends of their intervals are away, (2, ...)."""
+    """Return means of (..., E), and the distances to the ends of their intervals, (2, ...)."""
     mean, low, high = mean_interval(values)
     return mean, np.maximum(np.nan_to_num(np.stack([mean - low, high - mean])), 0)
 
 
 def limit(axes: Axes, metric: str, along: str = 'y') -> None:
-    """Let shares go from 0 to 1, all others from 0."""
+    """Set the limits of an axis: 0 to 1 for fractions, from 0 for others."""
     top = 1.03 if METRICS[metric].unit == '1' else None
     getattr(axes, f'set_{along}lim')(0, top)

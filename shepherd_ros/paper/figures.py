@@ -40,7 +40,7 @@ MAP_LEVELS = (0.5, 0.9)  # of a share, where contours are drawn
 
 
 def draw(samples: Samples) -> Figure:
-    """Return the picture of an experiment."""
+    """Return the figure of an experiment."""
     fields = samples.experiment.axes
     if not all(isinstance(x, int | float) for field in fields for x in samples.axis(field)):
         return draw_cases(samples)
@@ -103,7 +103,7 @@ def draw_maps(samples: Samples) -> Figure:
     for axes in panels.flat:
         axes.set_visible(False)
     scales: dict[str, Normalize] = {}
-    used: dict[str, list[Axes]] = {}
+    axes_by_unit: dict[str, list[Axes]] = {}
     for metric, block in zip(metrics, np.split(panels, len(metrics)), strict=True):
         unit = METRICS[metric].unit
         means = {name: samples.values[name, metric].mean(axis=-1) for name in names}
@@ -128,11 +128,11 @@ def draw_maps(samples: Samples) -> Figure:
             axes.grid(visible=False)
             axes.set_xticks(range(len(x)), [f'{v:g}' for v in x], fontsize=7)
             axes.set_yticks(range(len(y)), [f'{v:g}' for v in y], fontsize=7)
-            used.setdefault(unit, []).append(axes)
+            axes_by_unit.setdefault(unit, []).append(axes)
     for unit, scale in scales.items():
-        drawn = ScalarMappable(scale, MAP)
+        mappable = ScalarMappable(scale, MAP)
         names_of = ' and '.join(axis_label(m) for m in metrics if METRICS[m].unit == unit)
-        bar = figure.colorbar(drawn, ax=used[unit], aspect=40, pad=0.02)
+        bar = figure.colorbar(mappable, ax=axes_by_unit[unit], aspect=40, pad=0.02)
         bar.set_label(names_of, fontsize=8)
         bar.ax.tick_params(labelsize=7)
     _title(figure, samples)
@@ -158,16 +158,16 @@ def draw_curves(curves: Sequence[Curve]) -> Figure:
     figure, panels = new_figure(1, 1, 7.4, 3.4)
     axes, ends, looks = panels[0, 0], {}, {}
     for policy in dict.fromkeys(curve.policy for curve in curves):
-        mine = [curve for curve in curves if curve.policy == policy]
-        kind = 'validation episodes' if mine[0].judged else 'mean reward x 1000'
-        name = f'{policy} (n = {len(mine)})\n{kind}'
+        trainings = [curve for curve in curves if curve.policy == policy]
+        kind = 'validation episodes' if trainings[0].judged else 'mean reward x 1000'
+        name = f'{policy} (n = {len(trainings)})\n{kind}'
         look = style_of(f'policy:{policy}', [f'policy:{c.policy}' for c in curves])
         looks[name] = look
-        for k, curve in enumerate(mine):
-            own = look if k == 0 else look | {'linewidth': 0.7, 'markersize': 3}
+        for k, curve in enumerate(trainings):
+            style = look if k == 0 else look | {'linewidth': 0.7, 'markersize': 3}
             every = max(len(curve.samples) // 12, 1)
-            axes.plot(curve.samples / 1e6, smoothed(curve), markevery=every, **own)
-        ends[name] = (mine[0].samples[-1] / 1e6, smoothed(mine[0])[-1])
+            axes.plot(curve.samples / 1e6, smoothed(curve), markevery=every, **style)
+        ends[name] = (trainings[0].samples[-1] / 1e6, smoothed(trainings[0])[-1])
     tidy(axes, 'samples [million]', 'return of an episode [1]')
     axes.set_ylim(top=10.0)
     direct_labels(axes, ends, looks, gap=0.14)
@@ -182,16 +182,19 @@ def draw_values(maps: dict[str, ValueMap]) -> Figure:
     """Return the value of a third shepherd's place by policy (figure 9); brighter is better."""
     figure, panels = new_figure(1, len(maps), 3.8, 2.9)
     halo = [withStroke(linewidth=2, foreground='black')]
-    for (name, found), axes in zip(maps.items(), panels.flat, strict=True):
+    for (name, critic), axes in zip(maps.items(), panels.flat, strict=True):
         extent = (-HALF_SIDE, HALF_SIDE, -HALF_SIDE, HALF_SIDE)
-        picture = axes.imshow(found.values, origin='lower', extent=extent, cmap=MAP)
-        axes.contour(found.values, 5, extent=extent, colors='white', linewidths=0.5)
-        axes.add_patch(Circle((0, 0), found.goal_radius, fill=False, color='white', linewidth=2))
-        axes.plot(*found.sheep.T, 'o', color='white', markeredgecolor='black', markersize=5)
-        axes.plot(*found.shepherds.T, '^', color='black', markeredgecolor='white', markersize=9)
-        for text, points in (('goal', np.zeros((1, 2))), ('sheep', found.sheep),
-                             ('two shepherds', found.shepherds)):  # fmt: skip
-            below = points.mean(axis=0) - (0, 3.5 if text != 'goal' else found.goal_radius + 1.5)
+        picture = axes.imshow(critic.values, origin='lower', extent=extent, cmap=MAP)
+        axes.contour(critic.values, 5, extent=extent, colors='white', linewidths=0.5)
+        axes.add_patch(Circle((0, 0), critic.goal_radius, fill=False, color='white', linewidth=2))
+        axes.plot(*critic.sheep.T, 'o', color='white', markeredgecolor='black', markersize=5)
+        axes.plot(*critic.shepherds.T, '^', color='black', markeredgecolor='white', markersize=9)
+        for text, points in (('goal', np.zeros((1, 2))), ('sheep', critic.sheep),
+                             ('two shepherds', critic.shepherds)):  # fmt: skip
+            below = points.mean(axis=0) - (
+                0,
+                3.5 if text != 'goal' else critic.goal_radius + 1.5,
+            )
             axes.text(*below, text, color='white', ha='center', va='center', fontsize=8,
                       path_effects=halo)  # fmt: skip
         tidy(axes, 'x [m]', 'y [m]', label(name))
@@ -217,7 +220,7 @@ def _legend(figure: Figure, axes: Axes) -> None:
 
 
 def _title(figure: Figure, samples: Samples) -> None:
-    """Say what is shown, and of how many episodes."""
+    """Set the title of a figure, with the number of episodes."""
     name = samples.experiment.name
     text = f'Figure {name[3:]}: ' if name.startswith('fig') else ''
     maps = len(samples.experiment.axes) == 2 and samples.experiment.axes != ('preset', 'flock')

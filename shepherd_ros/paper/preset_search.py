@@ -1,5 +1,5 @@
 """
-Search what the paper leaves open for the choices that agree with most of its statements.
+Search for the choices, which the paper leaves open, that agree with most of its statements.
 
 Only the baselines drive, over the points of each figure that its statements name: a statement
 about them costs seconds to check, one about a learned policy a training. Most candidates are the
@@ -61,11 +61,11 @@ SEARCH_POINTS = {
     'fig7': ('repulsion', (0.5, 1.0, 3.0, 4.0)),
     'fig8': ('sheep', (10, 50, 100)),
 }
-NEAR_MISS_WORTH = 0.4  # what a number next to its bounds adds
+NEAR_MISS_WORTH = 0.4  # score of a number next to its bounds
 SHARE_NEW = 0.1  # of candidates that are drawn anew
 
 Candidate = dict[str, Any]
-KnownTables = dict[str, pa.Table]  # rows of cells by what decides them
+KnownTables = dict[str, pa.Table]  # rows of cells by their configuration
 
 
 @dataclass(frozen=True)
@@ -80,11 +80,11 @@ class Tried:
     @property
     def score(self) -> float:
         """Return the score of the verdicts."""
-        return worth(self.verdicts.values())
+        return score_of(self.verdicts.values())
 
     @property
     def merit(self) -> float:
-        """Return the score, and less than half for a number that disagrees the nearer it is."""
+        """Return the score, plus up to NEAR_MISS_WORTH for numbers close to their bounds."""
         wrong = (gap for key, gap in self.gaps.items() if self.verdicts[key] == DISAGREES)
         return self.score + sum(NEAR_MISS_WORTH / (1 + gap) for gap in wrong)
 
@@ -107,13 +107,13 @@ def preset_of(candidate: Candidate) -> Preset:
     return Preset(CANDIDATE_NAME, 'under trial', candidate['dt'], **parts)
 
 
-def short(name: str) -> Experiment:
-    """Return an experiment with the points of POINTS, in the preset under trial."""
+def short_experiment(name: str) -> Experiment:
+    """Return an experiment with the points of SEARCH_POINTS, in the candidate's preset."""
     whole = EXPERIMENTS[name].with_preset(CANDIDATE_NAME)
     field, values = SEARCH_POINTS[name]
     if not field:
-        known = [s for other in ('fig4', 'fig5') for s in short(other).settings]
-        return replace(whole, settings=tuple(dict.fromkeys(known)))
+        settings = [s for other in ('fig4', 'fig5') for s in short_experiment(other).settings]
+        return replace(whole, settings=tuple(dict.fromkeys(settings)))
     return replace(whole, settings=tuple(s for s in whole.settings if getattr(s, field) in values))
 
 
@@ -123,12 +123,12 @@ def findings(
     """
     Run the baselines in a preset; return the findings on clauses about them alone, by text.
 
-    Cells that known holds are not run again; those that are run are put there.
+    Cells in known are not run again; those that are run are added to it.
     """
     PRESETS.add(replace(preset, name=CANDIDATE_NAME))
     known = {} if known is None else known
     try:
-        experiments = {name: short(name) for name in SEARCH_POINTS}
+        experiments = {name: short_experiment(name) for name in SEARCH_POINTS}
         settings = dict.fromkeys(
             canonical_setting(s) for e in experiments.values() for s in e.settings
         )
@@ -141,20 +141,20 @@ def findings(
                     known[key] = run_cell(cell)
                 tables.append(known[key])
         rows = Results(pa.concat_tables(tables))
-        found = {}
+        result = {}
         for claim in CLAIMS:
             samples = samples_of(rows, experiments[claim.experiment])
             assert samples is not None, 'all of an experiment was run'
             for clause in claim.clauses:
                 finding = finding_of(clause, Sweep(samples, ''))
                 if not finding.reason:  # else it needs a policy
-                    found[f'{claim.experiment}: {claim.statement}: {clause.text}'] = finding
-        return found
+                    result[f'{claim.experiment}: {claim.statement}: {clause.text}'] = finding
+        return result
     finally:
         PRESETS.remove(CANDIDATE_NAME)
 
 
-def worth(verdicts: Iterable[str]) -> float:
+def score_of(verdicts: Iterable[str]) -> float:
     """Return the number of verdicts that agree; an undecided one counts half."""
     return sum({AGREES: 1.0, UNDECIDED: 0.5}.get(verdict, 0.0) for verdict in verdicts)
 
@@ -162,22 +162,22 @@ def worth(verdicts: Iterable[str]) -> float:
 def attempt(
     candidate: Candidate, episodes: int, steps: int = 1000, known: KnownTables | None = None
 ) -> Tried:
-    """Judge a candidate's choices; known as in findings."""
-    found = findings(preset_of(candidate), episodes, steps, known)
+    """Return a candidate with its verdicts; known as in findings()."""
+    result = findings(preset_of(candidate), episodes, steps, known)
     return Tried(
         candidate,
-        {key: f.verdict for key, f in found.items()},
-        {key: f.value for key, f in found.items()},
-        {key: gap_of(f.value, f.clause.low, f.clause.high) for key, f in found.items()},
+        {key: f.verdict for key, f in result.items()},
+        {key: f.value for key, f in result.items()},
+        {key: gap_of(f.value, f.clause.low, f.clause.high) for key, f in result.items()},
     )
 
 
 def proposals(seed: int, known: list[Tried]) -> Iterator[Candidate]:
-    """Yield candidates without end, none twice; known grows meanwhile."""
+    """Yield candidates without end, none twice; the caller appends results to known."""
     draw = random.Random(seed)
-    seen: list[Candidate] = []
+    proposed: list[Candidate] = []
     while True:
-        if not seen:
+        if not proposed:
             candidate = {path: values[0] for path, values in CHOICES.items()}
         elif draw.random() < SHARE_NEW:
             candidate = {path: draw.choice(values) for path, values in CHOICES.items()}
@@ -185,32 +185,32 @@ def proposals(seed: int, known: list[Tried]) -> Iterator[Candidate]:
             best = max(reversed(known), key=lambda tried: tried.merit).candidate  # the latest
             path = draw.choice(list(CHOICES))
             candidate = best | {path: draw.choice(CHOICES[path])}
-        if candidate not in seen:
-            seen.append(candidate)
+        if candidate not in proposed:
+            proposed.append(candidate)
             yield candidate
 
 
 def read_tried(path: Path) -> list[Tried]:
-    """Return the candidates of a file, one a line; none without the file; or raise ConfigError."""
+    """Return the candidates of a file, [] without the file; or raise ConfigError."""
     if not path.exists():
         return []
-    found = []
+    candidates = []
     for number, line in enumerate(path.read_bytes().splitlines(), start=1):
         try:
-            found.append(Tried(**json.loads(line)))
+            candidates.append(Tried(**json.loads(line)))
         except (TypeError, ValueError) as error:
             raise ConfigError(
                 f'line {number} of {path} is no candidate that this version has tried: remove '
                 'that line and those after it, or give another --out'
             ) from error
-    return found
+    return candidates
 
 
 def search(path: Path, seed: int, count: int, episodes: int, steps: int = 1000) -> Iterator[Tried]:
     """
-    Try candidates until the file holds so many; yield each, the old ones too.
+    Try candidates until the file holds `count`; yield each, those in the file too.
 
-    ConfigError if the file is of another search.
+    Raises ConfigError if the file is of another search.
     """
     old = read_tried(path)
     known: list[Tried] = []

@@ -1,4 +1,4 @@
-"""Quantities of which statements are made: functions of the means over an experiment's axis."""
+"""Quantities of statements: functions of the means over an experiment's axis."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FLAT_TOLERANCE = 0.1  # a curve is `constant` if it stays within this share of i
 
 
 def about(text: str, quantity: Quantity, value: float) -> Clause:
-    """Return: a number is within ABOUT of a value."""
+    """Return the clause that a number is within ABOUT_TOLERANCE of a value."""
     return Clause(text, quantity, (1 - ABOUT_TOLERANCE) * value, (1 + ABOUT_TOLERANCE) * value)
 
 
@@ -37,7 +37,7 @@ def worst(
 
 
 def below(text: str, metric: str, method: str, *others: str, where: Where | None = None) -> Clause:
-    """Return: a method is below all others at every point."""
+    """Return the clause that a method is below all others at every point."""
     full = f'{text}: largest ratio over all points'
     return Clause(full, worst(metric, (method,), others, where), high=1.0)
 
@@ -50,7 +50,7 @@ def above(
     where: Where | None = None,
     least: float = 1.0,
 ) -> Clause:
-    """Return: a method is above all others at every point, by a factor."""
+    """Return the clause that a method is above all others at every point, by a factor."""
     quantity = worst(metric, others, (method,), where)
     return Clause(f'{text}: smallest ratio over all points', lambda s: 1 / quantity(s), low=least)
 
@@ -84,7 +84,7 @@ def highest(metric: str, methods: tuple[str, ...], where: Where | None = None) -
 
 
 def flat_time(text: str, method: str, where: Where | None = None, last: float = 0.0) -> Clause:
-    """Return: the completion time is never more than FLAT above that of the first point."""
+    """Return the clause that the time is at most FLAT_TOLERANCE above that of the first point."""
 
     def quantity(s: Sweep) -> Array:
         if last:
@@ -126,10 +126,10 @@ def gain(method: str, first: float, last: float, base: float) -> Quantity:
     )
 
 
-def less(method: str, metric: str, here: Where, there: Where) -> Quantity:
+def less(method: str, metric: str, points: Where, others: Where) -> Quantity:
     """Return the mean over some points less that over others."""
     return lambda s: (
-        s.mean(method, metric, here).mean(axis=0) - s.mean(method, metric, there).mean(axis=0)
+        s.mean(method, metric, points).mean(axis=0) - s.mean(method, metric, others).mean(axis=0)
     )
 
 

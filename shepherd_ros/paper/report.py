@@ -70,7 +70,7 @@ def page(
 ) -> str:
     """Return the page in Markdown; pictures, and the file of reasons, lie beside it."""
     presets = ', '.join(f'`{p}`' for p in rows.distinct('preset') if p)
-    used = [name for name in rows.distinct('controller') if name.startswith('policy:')]
+    names = [name for name in rows.distinct('controller') if name.startswith('policy:')]
     lines = [
         '# The experiments of the paper, and what came of them here',
         '',
@@ -81,16 +81,16 @@ def page(
         '',
         f'{RULE.strip()} {presets}.',
         '',
-        *policies(used),
+        *policies(names),
         '',
         *verdict_summary(outcomes),
     ]
     for name, title in TITLES.items():
-        mine = [j for j in outcomes if j.experiment == name]
-        if mine or name in pictures:
+        own = [j for j in outcomes if j.experiment == name]
+        if own or name in pictures:
             lines += ['', f'## {title}', '', *picture(name, title, pictures)]
-            lines += verdict_tables([j for j in mine if j.counts])
-            lines += folded(verdict_tables([j for j in mine if not j.counts]))
+            lines += verdict_tables([j for j in own if j.counts])
+            lines += folded(verdict_tables([j for j in own if not j.counts]))
     beyond = [name for name in samples if name not in TITLES]
     if beyond:
         lines += ['', '## Beyond the paper', '', 'Numbers with intervals: `summary.csv`.']
@@ -108,16 +108,16 @@ def origin(rows: Results) -> str:
 
 
 def reference(reasons: str) -> list[str]:
-    """Return a line that leads to a file of reasons, if there is one."""
+    """Return a line with a link to a file of reasons, [] without one."""
     line = f'Where a number disagrees, [{reasons}]({reasons}) says what may be behind it.'
     return [line] if reasons else []
 
 
 def trial(samples: Mapping[str, Samples]) -> list[str]:
-    """Return a warning if episodes are short or few, else nothing."""
-    short = [s for s in samples.values() if s.steps < PAPER_STEPS]
+    """Return the lines of a warning if episodes are short or few, else []."""
+    short_experiment = [s for s in samples.values() if s.steps < PAPER_STEPS]
     few = [s for n, s in samples.items() if n in TITLES and len(s.seeds) < MIN_EPISODES]
-    if not short and not few:
+    if not short_experiment and not few:
         return []
     steps = min(s.steps for s in samples.values())
     episodes = min(len(s.seeds) for s in samples.values())
@@ -143,11 +143,11 @@ def verdict_summary(outcomes: Sequence[Verdict]) -> list[str]:
     lines = [f'| | {" | ".join(VERDICTS)} |', '|---|--:|--:|--:|']
     total: Counter[str] = Counter()
     for name, title in TITLES.items():
-        found: dict[str, list[str]] = {}  # statement -> verdicts, one for each policy
+        verdicts: dict[str, list[str]] = {}  # statement -> verdicts, one for each policy
         for outcome in outcomes:
             if outcome.experiment == name and outcome.counts:
-                found.setdefault(outcome.statement, []).append(outcome.verdict)
-        counts = Counter(map(combined_verdict, found.values()))
+                verdicts.setdefault(outcome.statement, []).append(outcome.verdict)
+        counts = Counter(map(combined_verdict, verdicts.values()))
         total += counts
         if counts:
             cells = ' | '.join(str(counts[v]) for v in VERDICTS)
@@ -156,19 +156,19 @@ def verdict_summary(outcomes: Sequence[Verdict]) -> list[str]:
 
 
 def picture(name: str, title: str, pictures: Sequence[str]) -> list[str]:
-    """Return the lines that show a picture, if there is one."""
+    """Return the lines of a picture, or of a note without one."""
     if name not in pictures:
         return ['No picture: nothing to draw.', '']
     return [f'![{title}]({name}.png)', '']
 
 
 def bounds(clause: Clause) -> str:
-    """Return the bounds of a clause, empty if it has none."""
+    """Return the bounds of a clause as text, '' without bounds."""
     return '' if math.isinf(clause.low) and math.isinf(clause.high) else clause.bounds
 
 
 def finding_text(finding: ClauseFinding) -> str:
-    """Return our number with its interval, or why there is none."""
+    """Return our number with its interval, or the reason without one."""
     if math.isnan(finding.value):
         return finding.reason
     text = interval_text(finding.value, finding.low, finding.high)
@@ -180,9 +180,9 @@ def verdict_tables(outcomes: Sequence[Verdict]) -> list[str]:
     lines: list[str] = []
     ordered = sorted(outcomes, key=lambda j: j.policy)
     for policy, group in groupby(ordered, key=lambda j: j.policy):
-        who = label(policy) if policy.startswith('policy:') else policy
+        name = label(policy) if policy.startswith('policy:') else policy
         if policy:
-            lines += [f'RL is {who}:', '']
+            lines += [f'RL is {name}:', '']
         lines += [
             '| the paper states | verdict | number | ours | agrees if | verdict | until home |',
             '|---|---|---|--:|--:|---|---|',
@@ -194,7 +194,7 @@ def verdict_tables(outcomes: Sequence[Verdict]) -> list[str]:
 
 
 def folded(lines: list[str]) -> list[str]:
-    """Return lines that a reader has to unfold, if there are any."""
+    """Return lines in a folded block, [] without lines."""
     if not lines:
         return []
     head = '<details><summary>Other policies in the place of RL</summary>'

@@ -34,16 +34,16 @@ SUMMARY = (
 QUESTION = 'Is the learned policy better?'
 
 
-def draw_summary(found: Iterable[Samples]) -> Figure | None:
+def draw_summary(experiments: Iterable[Samples]) -> Figure | None:
     """
-    Return policies beside the heuristics of the literature, a line for each flock; or None.
+    Return the figure of policies and heuristics, a line for each flock; None without results.
 
     It is of the default setting. A word compares each policy with the better of the heuristics:
-    the same unless the 95 % interval of the difference, start by start, is without 0, for shares
-    without what is nearer to 0 than SHARE_TOLERANCE.
+    `same` unless the 95 % interval of the difference, start by start, excludes 0, for fractions
+    also values nearer to 0 than SHARE_TOLERANCE.
     """
     blocks: dict[str, tuple[Samples, int]] = {}
-    for samples in found:
+    for samples in experiments:
         first = samples.settings[0]
         default = canonical_setting(Setting(preset=first.preset, flock=first.flock))
         if default in samples.settings and {*BASELINES} < {*samples.controllers}:
@@ -51,9 +51,9 @@ def draw_summary(found: Iterable[Samples]) -> Figure | None:
     if not blocks:
         return None
     figure, panels = new_figure(len(blocks), len(SUMMARY), 2.75, 2.1)
-    for (flock, (samples, here)), line in zip(blocks.items(), panels, strict=True):
-        _compare(samples, here, line)
-        sheep, episodes = samples.settings[here].sheep, len(samples.seeds)
+    for (flock, (samples, row)), line in zip(blocks.items(), panels, strict=True):
+        _compare(samples, row, line)
+        sheep, episodes = samples.settings[row].sheep, len(samples.seeds)
         text = f'{flock} flock of {sheep} (n = {episodes} episodes of {samples.steps} steps)'
         line[0].set_title(text, fontsize=9, loc='left', color=INK)
     text = f'{QUESTION} Mean and 95 % interval; grey: the better of the two heuristics'
@@ -61,12 +61,14 @@ def draw_summary(found: Iterable[Samples]) -> Figure | None:
     return figure
 
 
-def _compare(samples: Samples, here: int, line: Sequence[Axes]) -> None:
+def _compare(samples: Samples, setting: int, line: Sequence[Axes]) -> None:
     """Draw the metrics of the summary in a setting, a panel each."""
-    missing = {n for n in samples.policies if np.isnan(samples.values[n, 'flock_spread'][here, 0])}
+    missing = {
+        n for n in samples.policies if np.isnan(samples.values[n, 'flock_spread'][setting, 0])
+    }
     names = [*(n for n in samples.policies if n not in missing), *BASELINES]
     for k, ((metric, more), axes) in enumerate(zip(SUMMARY, line, strict=True)):
-        values = {name: samples.values[name, metric][here] for name in names}
+        values = {name: samples.values[name, metric][setting] for name in names}
         best = max(BASELINES, key=lambda name: (1 if more else -1) * values[name].mean())
         mean, low, high = mean_interval(values[best])
         axes.axvspan(float(low), float(high), color='#D5D9DC', linewidth=0)
@@ -78,7 +80,7 @@ def _compare(samples: Samples, here: int, line: Sequence[Axes]) -> None:
             if name in BASELINES:
                 continue
             margin = SHARE_TOLERANCE if METRICS[metric].unit == '1' else 0.0
-            word = compared(values[name], values[best], more, margin)
+            word = compare_samples(values[name], values[best], more, margin)
             style = {'fontsize': 7.5, 'color': INK, 'va': 'center'}
             style['weight'] = 'bold' if word == 'better' else 'normal'
             axes.text(1.03, row, word, transform=axes.get_yaxis_transform(), **style)
@@ -88,9 +90,9 @@ def _compare(samples: Samples, here: int, line: Sequence[Axes]) -> None:
         axes.set_ylim(len(names) - 0.5, -0.5)
 
 
-def compared(ours: Array, theirs: Array, more: bool, margin: float) -> str:
-    """Return better, worse or same, for the episodes (E,) of two methods with the same starts."""
-    if len(ours) < 2:
+def compare_samples(own: Array, other: Array, more: bool, margin: float) -> str:
+    """Return better, worse, same or '', for the episodes (E,) of two methods, start by start."""
+    if len(own) < 2:
         return ''
-    low, high = percentiles(resampled_means(ours - theirs if more else theirs - ours))
+    low, high = percentiles(resampled_means(own - other if more else other - own))
     return 'better' if low > margin else 'worse' if high < -margin else 'same'

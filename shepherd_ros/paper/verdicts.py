@@ -1,4 +1,4 @@
-"""Every statement of the paper judged on our rows, curves and critics."""
+"""Verdicts on the statements of the paper from our rows, curves and critics."""
 
 from __future__ import annotations
 
@@ -54,43 +54,48 @@ def has_critic(policy: str) -> bool:
 
 
 def trained_on(policy: str) -> set[str]:
-    """Return the flocks that a policy was trained with, as its checkpoint says."""
+    """Return the flocks that a policy was trained with, from its checkpoint."""
     task = training_of(policy).get('task')
     flock = task.get('flock') if isinstance(task, dict) else None
     return set(PAPER_FLOCKS) if flock == 'both' else {str(flock)}
 
 
-def as_the_paper(policy: str, flock: str) -> bool:
+def is_trained_as_in_paper(policy: str, flock: str) -> bool:
     """Return whether a policy was trained as the paper's RL for a flock model; true for none."""
     return not policy or (has_critic(policy) and trained_on(policy) == {flock})
 
 
 def verdicts_on_samples(samples: Samples) -> list[Verdict]:
-    """Return the judgements on an experiment, for each policy that was evaluated in it."""
-    found: dict[tuple[str, str], Verdict] = {}
+    """Return the verdicts on an experiment, for each policy that was evaluated in it."""
+    outcomes: dict[tuple[str, str], Verdict] = {}
     for claim in CLAIMS:
         if claim.experiment != samples.experiment.name:
             continue
         for policy in samples.policies or ['']:
             outcome = _judge_claim(claim, samples, policy)
-            found.setdefault((claim.statement, outcome.policy), outcome)
-    return list(found.values())
+            outcomes.setdefault((claim.statement, outcome.policy), outcome)
+    return list(outcomes.values())
 
 
 def _judge_claim(claim: Claim, samples: Samples, policy: str) -> Verdict:
-    """Return what came of a claim with a policy in the place of RL."""
+    """Return the verdict on a claim with a policy in the place of RL."""
     findings, others, with_rl = [], [], False
     for clause in claim.clauses:
         sweep = Sweep(samples, policy)
         finding = finding_of(clause, sweep)
-        mine = any(method == 'RL' for method, _ in sweep.asked)
-        with_rl |= mine
-        if mine and policy and claim.experiment == 'fig8' and 'reynolds' not in trained_on(policy):
+        uses_rl = any(method == 'RL' for method, _ in sweep.used_means)
+        with_rl |= uses_rl
+        if (
+            uses_rl
+            and policy
+            and claim.experiment == 'fig8'
+            and 'reynolds' not in trained_on(policy)
+        ):
             finding = replace(
                 finding, verdict=UNDECIDED, reason='not trained with the Reynolds flock'
             )
         findings.append(finding)
-        paths = any(metric in TO_COMPLETION for _, metric in sweep.asked)
+        paths = any(metric in TO_COMPLETION for _, metric in sweep.used_means)
         others.append(finding_of(clause, Sweep(samples, policy, True)) if paths else None)
     return Verdict(
         claim.experiment,
@@ -98,12 +103,12 @@ def _judge_claim(claim: Claim, samples: Samples, policy: str) -> Verdict:
         (policy or 'none') if with_rl else '',
         tuple(findings),
         tuple(others),
-        not with_rl or as_the_paper(policy, samples.settings[0].flock),
+        not with_rl or is_trained_as_in_paper(policy, samples.settings[0].flock),
     )
 
 
 def _plain(text: str) -> Clause:
-    """Return a clause that is judged otherwise than from rows."""
+    """Return a clause whose verdict does not come from rows."""
     return Clause(text, lambda sweep: np.zeros(1))
 
 
@@ -114,8 +119,8 @@ def _single(
 
 
 def verdicts_on_curves(curves: Sequence[Curve]) -> list[Verdict]:
-    """Return the judgement on figure 3 for each policy, with a finding for each training."""
-    statement, found = 'The return rises and flattens within 100 million samples', []
+    """Return the verdict on figure 3 for each policy, with a finding for each training."""
+    statement, outcomes = 'The return rises and flattens within 100 million samples', []
     for policy in dict.fromkeys(curve.policy for curve in curves):
         own, findings = [curve for curve in curves if curve.policy == policy], []
         for curve in own:
@@ -123,19 +128,19 @@ def verdicts_on_curves(curves: Sequence[Curve]) -> list[Verdict]:
             numbers = (math.nan, math.nan, math.nan)
             findings.append(ClauseFinding(_plain(curve.name), *numbers, result, reason))
         by_reward = not own[0].judged  # other trainings know no reward
-        found.append(_single('fig3', statement, policy, *findings, counts=by_reward))
-    if found:
-        return found
+        outcomes.append(_single('fig3', statement, policy, *findings, counts=by_reward))
+    if outcomes:
+        return outcomes
     missing = ClauseFinding(_plain('curve'), math.nan, math.nan, math.nan, UNDECIDED, 'no curves')
     return [_single('fig3', statement, 'none', missing)]
 
 
 def verdicts_on_values(policies: Sequence[str]) -> list[Verdict]:
-    """Return the judgements on figure 9 for policies with critics."""
+    """Return the verdicts on figure 9 for policies with critics."""
     behind = 'The best place for a third shepherd is behind the flock, seen from the goal'
     areas = 'The areas of high value are large for the Strömbom flock, small for Reynolds'
     nan = math.nan
-    found: list[Verdict] = []
+    outcomes: list[Verdict] = []
     shares: dict[str, dict[str, Array]] = {'strombom': {}, 'reynolds': {}}  # by flock and policy
     for policy in policies:
         maps = [value_map(loaded(checkpoint_of(policy)), seed) for seed in range(N_VALUE_MAPS)]
@@ -146,27 +151,27 @@ def verdicts_on_values(policies: Sequence[str]) -> list[Verdict]:
         finding = ClauseFinding(
             clause, value, low, high, verdict(low, high, BEHIND_COSINE, math.inf)
         )
-        found.append(_single('fig9', behind, policy, finding))
+        outcomes.append(_single('fig9', behind, policy, finding))
         for flock in trained_on(policy):
             shares[flock][policy] = np.array([m.high_share for m in maps])
-    if not found:
+    if not outcomes:
         reason = 'no checkpoint with a trained critic'
         missing = ClauseFinding(_plain('critic'), nan, nan, nan, UNDECIDED, reason)
-        found = [_single('fig9', behind, 'none', missing)]
+        outcomes = [_single('fig9', behind, 'none', missing)]
     clause = Clause(
         'share of the plane with high values, Strömbom over Reynolds', _plain('').quantity, 1.0
     )
     pairs = [
-        (left, right, ours / theirs)
-        for left, ours in shares['strombom'].items()
-        for right, theirs in shares['reynolds'].items()
+        (left, right, left_shares / right_shares)
+        for left, left_shares in shares['strombom'].items()
+        for right, right_shares in shares['reynolds'].items()
     ]
     for left, right, ratios in pairs:
         value, low, high = map(float, mean_interval(ratios))
         finding = ClauseFinding(clause, value, low, high, verdict(low, high, 1.0, math.inf))
-        found.append(_single('fig9', areas, f'{label(left)} and {label(right)}', finding))
+        outcomes.append(_single('fig9', areas, f'{label(left)} and {label(right)}', finding))
     if pairs:
-        return found
+        return outcomes
     reason = 'needs critics trained with both flocks'
     missing = ClauseFinding(clause, nan, nan, nan, UNDECIDED, reason)
-    return [*found, _single('fig9', areas, 'none', missing)]
+    return [*outcomes, _single('fig9', areas, 'none', missing)]

@@ -110,7 +110,7 @@ class IntraProcessPublisher:
         self.key = endpoint_key(publisher)
         # latched messages have to be there for those who come later
         self.allows_transport = publisher.qos_profile.durability == DurabilityPolicy.VOLATILE
-        self.matched: tuple[int, int] = (0, -1)  # subscriptions and version for which alone holds
+        self.matched: tuple[int, int] = (0, -1)  # subscriptions and version, of all_local
         self.all_local = False
 
     def __getattr__(self, name: str) -> Any:

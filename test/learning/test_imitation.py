@@ -202,7 +202,7 @@ def test_the_mean_of_the_weights_by_hand() -> None:
     cloner = CloneLearner(policy, CloneConfig(batch_size=8, ema_decay=0.15), 0)
     seen = []
     for _ in range(3):
-        cloner.take_step(examples)
+        cloner.train_batch(examples)
         seen.append(policy.actor.head.bias.detach().clone())
     assert not torch.equal(seen[1], seen[2])
     mean = seen[0]

@@ -47,8 +47,8 @@ from shepherd_ros.paper.quantities import below, change, ratio, slope
 from shepherd_ros.paper.report import verdict_summary
 from shepherd_ros.paper.statements import CLAIMS
 from shepherd_ros.paper.verdicts import (
-    as_the_paper,
     has_critic,
+    is_trained_as_in_paper,
     trained_on,
     Verdict,
     verdicts_on_curves,
@@ -347,11 +347,11 @@ def test_a_policy_that_was_not_trained_on_reynolds_gets_no_verdict_there() -> No
 
 
 def test_only_a_policy_trained_as_the_papers_counts() -> None:
-    assert as_the_paper('', 'strombom')
-    assert as_the_paper('policy:strombom', 'strombom')
-    assert not as_the_paper('policy:strombom', 'reynolds')
-    assert not as_the_paper('policy:reynolds', 'strombom')
-    assert not as_the_paper('policy:imitation', 'strombom'), 'no reinforcement learning'
+    assert is_trained_as_in_paper('', 'strombom')
+    assert is_trained_as_in_paper('policy:strombom', 'strombom')
+    assert not is_trained_as_in_paper('policy:strombom', 'reynolds')
+    assert not is_trained_as_in_paper('policy:reynolds', 'strombom')
+    assert not is_trained_as_in_paper('policy:imitation', 'strombom'), 'no reinforcement learning'
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from shepherd_ros.paper.curves import Curve
 from shepherd_ros.paper.drawing import save, spaced, style_of
 from shepherd_ros.paper.figures import draw, draw_curves, draw_values
 from shepherd_ros.paper.report import page
-from shepherd_ros.paper.summary import compared, draw_summary, QUESTION
+from shepherd_ros.paper.summary import compare_samples, draw_summary, QUESTION
 from shepherd_ros.policy.checkpoint import shipped_checkpoints
 
 METHODS = ('policy:general', 'policy:imitation', 'strombom', 'pierson', 'drover')
@@ -155,11 +155,11 @@ def test_the_report_begins_with_the_summary() -> None:
 
 def test_a_policy_is_better_only_if_the_interval_says_so() -> None:
     ours = np.linspace(1.0, 2.0, 50)
-    assert compared(ours, ours + 0.1, more=False, margin=0.0) == 'better'
-    assert compared(ours, ours + 0.1, more=True, margin=0.0) == 'worse'
-    assert compared(ours, ours + 0.1, more=True, margin=0.2) == 'same'
-    assert compared(ours, ours[::-1], more=True, margin=0.0) == 'same'
-    assert compared(ours[:1], ours[:1], more=True, margin=0.0) == ''
+    assert compare_samples(ours, ours + 0.1, more=False, margin=0.0) == 'better'
+    assert compare_samples(ours, ours + 0.1, more=True, margin=0.0) == 'worse'
+    assert compare_samples(ours, ours + 0.1, more=True, margin=0.2) == 'same'
+    assert compare_samples(ours, ours[::-1], more=True, margin=0.0) == 'same'
+    assert compare_samples(ours[:1], ours[:1], more=True, margin=0.0) == ''
 
 
 # ---- files ----

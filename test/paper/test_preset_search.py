@@ -24,7 +24,7 @@ from shepherd_ros.paper.preset_search import (
     proposals,
     search,
     SEARCH_POINTS,
-    short,
+    short_experiment,
     Tried,
 )
 from shepherd_ros.sim.presets import PRESETS, world_preset
@@ -63,7 +63,9 @@ def test_the_points_are_those_of_the_figures(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setitem(PRESETS._entries, CANDIDATE_NAME, preset_of(DEFAULT))
     for name, (field, values) in SEARCH_POINTS.items():
         if field:
-            assert {getattr(s, field) for s in short(name).settings} == set(values), name
+            assert {getattr(s, field) for s in short_experiment(name).settings} == set(values), (
+                name
+            )
 
 
 def test_an_undecided_number_counts_half() -> None:

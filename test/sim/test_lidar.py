@@ -64,7 +64,7 @@ def test_two_hundred_scenes_are_those_of_every_ray_with_every_disc(
     # left out: rays that pass within `margin` of a disc's edge, ranges so near the greatest range,
     # and sensors so near a rim, where a rounding decides between a range and none
     margin, tolerance = (1e-6, 1e-9) if dtype == torch.float64 else (2e-3, 5e-4)
-    compared = left_out = seen = 0
+    compare_samples = left_out = seen = 0
     for seed in range(200):
         state, config = scene(seed)
         got = scan(state.to(dtype), config).double().numpy()
@@ -78,11 +78,11 @@ def test_two_hundred_scenes_are_those_of_every_ray_with_every_disc(
                 atol=tolerance,
                 err_msg=f'scene {seed}, shepherd {me}',
             )
-            compared += unsure.size - unsure.sum()
+            compare_samples += unsure.size - unsure.sum()
             left_out += unsure.sum()
             seen += np.isfinite(expected).sum()
-    assert left_out < (0.001 if dtype == torch.float64 else 0.03) * compared
-    assert seen > 0.05 * compared
+    assert left_out < (0.001 if dtype == torch.float64 else 0.03) * compare_samples
+    assert seen > 0.05 * compare_samples
 
 
 def test_a_scan_of_a_thousand_sheep_by_twenty_shepherds_is_the_reference() -> None:
