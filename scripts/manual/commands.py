@@ -12,6 +12,8 @@ import re
 from typing import Any
 
 from shepherd_ros.cli import main
+from shepherd_ros.cli.train_help import BAGS, option_groups, policy_groups, usage
+from shepherd_ros.cli.train_verbs import DEFAULT_RECIPES, TRAININGS
 from shepherd_ros.nodes.herd_node import HerdOptions
 from shepherd_ros.nodes.player_node import PlayerOptions
 from shepherd_ros.nodes.recorder_options import RecorderOptions
@@ -103,8 +105,22 @@ def parsed(text: str) -> Help:
     return result
 
 
+def training(name: str) -> Help:
+    """Return the help of a training, with the options of its policy."""
+    recipe = DEFAULT_RECIPES[name]
+    found = Help(usage(name), TRAININGS[name])
+    if name == 'bc':
+        found.groups['Arguments'] = [[code('BAG'), code('required'), escaped(BAGS)]]
+    for title, rows in (*option_groups(recipe.run), *policy_groups(recipe.policy)):
+        found.groups[title] = [[code(r.name), code(r.default), escaped(r.text)] for r in rows]
+    return found
+
+
 def verbs(words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Help]]:
     """Yield every verb of shepherd with its help, those with subcommands before them."""
+    if words[:1] == ('train',) and len(words) == 2:
+        yield words, training(words[1])
+        return
     found = parsed(help_text(main, list(words)))
     if words == ('train',) and not found.subcommands:
         raise ValueError('shepherd train --help names no subcommands')
@@ -119,8 +135,7 @@ def _section(name: str, found: Help, level: int) -> str:
     rows = [row for title in COMMON for row in found.groups.get(title, [])]
     groups = {title: more for title, more in found.groups.items() if title not in COMMON}
     for title, more in {'': rows, **groups}.items():
-        name = title.removesuffix(' options').removeprefix('run_').removeprefix('.')
-        parts.append(f'**{name or "run"}**' if title else '')
+        parts.append(f'**{title.removesuffix(" options")}**' if title else '')
         parts.append(table(('argument', 'default', 'meaning'), more) if more else '')
     return '\n\n'.join(part for part in parts if part)
 

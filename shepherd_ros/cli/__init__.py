@@ -12,7 +12,7 @@ from shepherd_ros import __version__
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.config import ConfigError
 
-__all__ = ['code', 'main', 'processes']
+__all__ = ['code', 'main', 'processes', 'train_help', 'train_verbs']
 
 
 @dataclass

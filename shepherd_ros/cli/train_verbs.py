@@ -13,6 +13,7 @@ from shepherd_ros import __version__
 from shepherd_ros.arguments import arguments_of, configured
 from shepherd_ros.cli.code import commit
 from shepherd_ros.cli.out_folders import claimed_folder
+from shepherd_ros.cli.train_help import BAGS, COMMON, print_help
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.config import Config
 from shepherd_ros.learning.dagger import train_dagger
@@ -77,28 +78,25 @@ QUICK_RECIPES = {
     'bc': Recipe(IMITATION_RING, BCConfig(epochs=2)),
 }
 
+TRAININGS = {
+    'ppo': 'Train a policy by reinforcement, with PPO in batches of worlds.',
+    'dagger': 'Train a policy to do what a teacher would do where the policy goes, with DAgger.',
+    'bc': 'Train a policy to repeat the commands in bags, by behaviour cloning.',
+}
+
 
 @dataclass
 class _Common:
     """Options that all trainings have."""
 
-    out: Path
-    """Folder of the run; a run that is there and was interrupted goes on."""
-    pretrained: str = ''
-    """
-    Checkpoint to start from: a file, or the name of a shipped one; random weights if empty.
-
-    The policy is then as in the checkpoint, but for the --policy options that are given.
-    """
-    quick: bool = False
-    """For a first result, aimed at ten minutes: a ring network, and fewer samples or rounds."""
-    threads: int = 1
-    """Threads of torch."""
-    device: str = 'cpu'
-    """Where PPO keeps worlds and networks: cpu, or cuda."""
+    out: Annotated[Path, tyro.conf.arg(help=COMMON['out'][1])]
+    pretrained: Annotated[str, tyro.conf.arg(help=COMMON['pretrained'][1])] = ''
+    quick: Annotated[bool, tyro.conf.arg(help=COMMON['quick'][1])] = False
+    threads: Annotated[int, tyro.conf.arg(help=COMMON['threads'][1])] = 1
+    device: Annotated[str, tyro.conf.arg(help=COMMON['device'][1])] = 'cpu'
 
 
-def verb(recipe: Recipe, train: Callable[..., Any], bags: bool = False) -> type[Any]:
+def verb(name: str, recipe: Recipe, train: Callable[..., Any]) -> type[Any]:
     """Return the class of a verb, with the arguments of its configuration."""
     kind = type(recipe.run)
 
@@ -106,9 +104,8 @@ def verb(recipe: Recipe, train: Callable[..., Any], bags: bool = False) -> type[
         return _run(arguments, kind, train)
 
     rows: list[Any] = []
-    if bags:
-        help_text = 'Bags, folders of bags, or data sets of `shepherd dataset build`.'
-        positional = Annotated[tuple[Path, ...], tyro.conf.arg(help=help_text)]
+    if kind is BCConfig:
+        positional = Annotated[tuple[Path, ...], tyro.conf.arg(help=BAGS)]
         rows.append(('bags', tyro.conf.Positional[positional], ()))
     policy_arguments, config = arguments_of(recipe.policy), arguments_of(recipe.run)
     flat: Any = tyro.conf.OmitArgPrefixes
@@ -116,17 +113,16 @@ def verb(recipe: Recipe, train: Callable[..., Any], bags: bool = False) -> type[
         ('policy', policy_arguments, field(default_factory=policy_arguments)),
         ('run_', flat[config], field(default_factory=config)),
     ]
-    names = {'__doc__': train.__doc__, 'run': run}
+    names = {'__doc__': TRAININGS[name], 'run': run}
     return make_dataclass(kind.__name__, rows, bases=(_Common,), namespace=names, kw_only=True)
 
 
 def verbs(recipes: Mapping[str, Recipe]) -> dict[str, Callable[..., Any]]:
     """Return the verbs of training by name."""
-    return {
-        'ppo': verb(recipes['ppo'], train_ppo),
-        'dagger': verb(recipes['dagger'], train_dagger),
-        'bc': verb(recipes['bc'], train_bc, bags=True),
-    }
+    trainings: dict[str, Callable[..., Any]] = {
+        'ppo': train_ppo, 'dagger': train_dagger, 'bc': train_bc
+    }  # fmt: skip
+    return {name: verb(name, recipes[name], training) for name, training in trainings.items()}
 
 
 def train(words: list[str], doc: str) -> int:
@@ -137,6 +133,12 @@ def train(words: list[str], doc: str) -> int:
             verbs(recipes), prog='shepherd train', description=doc, args=words
         )
 
+    if words[:1] and words[0] in TRAININGS and {'-h', '--help', '--help-policy'} & {*words}:
+        recipe = (QUICK_RECIPES if '--quick' in words else DEFAULT_RECIPES)[words[0]]
+        print_help(
+            words[0], TRAININGS[words[0]], recipe.run, recipe.policy, '--help-policy' in words
+        )
+        return 0
     chosen = parsed(DEFAULT_RECIPES)
     recipes = QUICK_RECIPES if chosen.quick else DEFAULT_RECIPES
     if chosen.pretrained:  # what is not said about the policy is as in the checkpoint

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 import json
 from pathlib import Path
+import re
 
 import pytest
-from shepherd_ros.cli import main
+from shepherd_ros.cli import all_verbs, main
+from shepherd_ros.cli.train_verbs import DEFAULT_RECIPES
 from shepherd_ros.policy.checkpoint import load_policy, read_checkpoint_metadata
 
 NETWORK = (
@@ -107,3 +110,47 @@ def test_a_mistake_is_named_with_a_way_out(
 ) -> None:
     assert train(words, tmp_path) == 2
     assert message in capsys.readouterr().err
+
+
+def helped(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Return the help of a command."""
+    with suppress(SystemExit):
+        assert main([*words, '--help']) == 0
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize('name', ['ppo', 'dagger', 'bc'])
+def test_help_of_a_training_fits_two_screens_and_lacks_no_option(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv('COLUMNS', '80')
+    lines = helped(['train', name], capsys).splitlines()
+    assert len(lines) <= 100
+    assert max(map(len, lines)) <= 80
+    assert main(['train', name, '--help-policy']) == 0
+    shown = set(re.findall(r'^  (--[\w.-]+) ', capsys.readouterr().out, re.MULTILINE))
+    recipe = DEFAULT_RECIPES[name]
+    names = {f'--{path.rpartition(".")[2]}' for path in recipe.run.values()}
+    names |= {f'--policy.{path}' for path in recipe.policy.values()}
+    names |= {'--out', '--pretrained', '--quick', '--threads', '--device'}
+    assert shown == {option.replace('_', '-') for option in names}
+
+
+def test_help_has_the_defaults_of_the_recipe(capsys: pytest.CaptureFixture[str]) -> None:
+    usual, quick = (
+        dict(re.findall(r'^  (--[\w.-]+) +(\S+)', helped(words, capsys), re.MULTILINE))
+        for words in (['train', 'ppo'], ['train', 'ppo', '--quick'])
+    )
+    assert (usual['--samples'], quick['--samples']) == ('2000000', '1000000')
+    assert (usual['--goal-radius-max'], quick['--goal-radius-max']) == ('8.0', '6.0')
+    assert usual['--out'] == 'required'
+
+
+@pytest.mark.parametrize('columns', ['80', '120'])
+def test_help_of_every_verb_fits_two_screens(
+    columns: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv('COLUMNS', columns)
+    for name in all_verbs():
+        assert 0 < len(helped([name], capsys).splitlines()) <= 100, name
+    assert 0 < len(helped([], capsys).splitlines()) <= 100
