@@ -79,8 +79,7 @@ class MuxRequests:
     def _answer(self, response: Any, change: Callable[[], None], text: str) -> Any:
         """Return the response to a request that changes what drives."""
         try:
-            if not self.mux.n_shepherds:
-                raise ConfigError('no episode has been heard yet: start flock_sim')
+            self._require_episode()
             change()
         except ConfigError as error:
             response.success, response.message = False, str(error)
@@ -89,6 +88,10 @@ class MuxRequests:
         self.node.get_logger().info(text)
         self.on_change()
         return response
+
+    def _require_episode(self) -> None:
+        if not self.mux.n_shepherds:
+            raise ConfigError('no episode has been heard yet: start flock_sim')
 
     def on_select(self, text: str) -> None:
         """Take a text such as keys, 1 keys or 1 auto."""
@@ -99,6 +102,7 @@ class MuxRequests:
                     f'{SELECT} is {text!r:.60}: expected a source or auto, such as keys, or with '
                     'a shepherd before it, such as 1 keys'
                 )
+            self._require_episode()
             shepherd = None if match[1] is None else int(match[1])
             self.mux.select(match[2], shepherd, self.node.wall())
         except ConfigError as error:

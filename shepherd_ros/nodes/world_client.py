@@ -25,6 +25,7 @@ from std_srvs.srv import SetBool, Trigger
 
 _WORLD = 'flock_sim'
 DISCOVERY_TIMEOUT = 5.0  # [s] in which a world is found, or is not there
+SETTLE_TIME = 0.5  # [s] after which no more services of a node are expected
 REPORT_TIMEOUT = 1.5  # [s] in which every node reports on /diagnostics
 LEVELS = {
     DiagnosticStatus.OK: 'OK',
@@ -58,17 +59,22 @@ class WorldClient(Node):
         return self._ask_mux(f'{room}/lock', SetBool, SetBool.Request(data=locked))
 
     def _ask_mux(self, name: str, kind: Any, request: Any) -> str:
-        """Return what a service of mux answers; ConfigError names those that there are."""
-        response = self._ask(name, kind, request)
+        """Return the response of a service of mux; ConfigError names the existing ones."""
+        place, _, last = f'{self.get_namespace().rstrip("/")}/{name}'.rpartition('/')
+        limit, others = time.monotonic() + DISCOVERY_TIMEOUT, list[str]()
+        while not self.count_services(name) and time.monotonic() < limit:
+            time.sleep(0.02)
+            names = [n for n, _ in self.get_service_names_and_types() if self.count_services(n)]
+            known = [n.removeprefix(f'{place}/') for n in names if n.startswith(f'{place}/')]
+            if AUTO in known and known == others:
+                limit = min(limit, time.monotonic() + SETTLE_TIME)
+            others = known
+        response = self._ask(name, kind, request) if self.count_services(name) else None
+        if response is None and AUTO in others:
+            raise unknown_name(f'source in {place}', last, sorted(others))
         if response is None:
-            room, _, asked = name.rpartition('/')
-            place = f'{self.get_namespace().rstrip("/")}/{room}/'
-            offered = [n for n, _ in self.get_service_names_and_types() if self.count_services(n)]
-            known = sorted(n.removeprefix(place) for n in offered if n.startswith(place))
-            if AUTO in known:
-                raise unknown_name(f'source in {room}', asked, known)
             raise ConfigError(
-                f'no {place}{asked} was found within {DISCOVERY_TIMEOUT:g} s: expected a mux that '
+                f'no {place}/{last} was found within {DISCOVERY_TIMEOUT:g} s: expected a mux that '
                 'runs; start one, such as with mux:=true of simulate.launch.py, and check the '
                 'shepherd, --namespace and ROS_DOMAIN_ID'
             )

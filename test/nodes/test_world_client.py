@@ -37,6 +37,6 @@ def test_a_world_is_asked_by_verbs(graph: Graph, capsys: pytest.CaptureFixture[s
 def test_a_world_that_is_not_there_is_named(
     graph: Graph, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(world_client, 'DISCOVERY', 0.1)
+    monkeypatch.setattr(world_client, 'DISCOVERY_TIMEOUT', 0.1)
     assert main(['pause', '--namespace', 'nowhere']) == 2
     assert 'no /nowhere/flock_sim was found within 0.1 s' in capsys.readouterr().err
