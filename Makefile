@@ -12,13 +12,18 @@ PRESET ?= default
 SEED ?= 0
 STEPS ?= 1000
 OUT ?= out/demo
+PORT ?= 8080
 
-.PHONY: help demo test setup generate docs lint train paper table bench bench-learning clean browser
+.PHONY: help demo console test setup generate docs lint train paper table bench bench-learning clean browser
 .DEFAULT_GOAL := demo
 
 demo: $(VENV)/.demo  # a learned policy herds 100 sheep; pictures in out/demo/
 	$(BIN)/shepherd demo --controller $(CONTROLLER) --sheep $(SHEEP) --shepherds $(SHEPHERDS) \
 	  --flock $(FLOCK) --preset $(PRESET) --seed $(SEED) --steps $(STEPS) --out $(OUT)
+
+console: $(VENV)/.demo  # everything runs until Ctrl-C, with a page in the browser to show and drive it
+	$(BIN)/shepherd console --controller $(CONTROLLER) --sheep $(SHEEP) --shepherds $(SHEPHERDS) \
+	  --flock $(FLOCK) --preset $(PRESET) --seed $(SEED) --steps $(STEPS) --port $(PORT)
 
 test: setup browser  # all tests
 	$(BIN)/python -m pytest -n 2 --dist loadgroup

@@ -10,7 +10,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from shepherd_ros.bringup import Process, stack_in
+from shepherd_ros.bringup import Process, stack_in, with_console
 from shepherd_ros.launch_arguments import LAUNCH_ARGUMENTS, launch_values, require_success
 from shepherd_ros.resources import share_file
 from shepherd_ros.wire.topics import renamed_topics
@@ -33,6 +33,8 @@ def nodes(context: LaunchContext) -> list[Action]:
         standby=values.standby,
         **values.flock_sim,
     )
+    if values.console:
+        stack = with_console(stack)
     if values.record:
         stack.insert(0, Process('recorder', 'recorder'))
     words = {'recorder': ['--output', values.record]}

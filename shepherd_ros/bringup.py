@@ -123,6 +123,18 @@ def with_mux(stack: Sequence[Process], standby: Sequence[Process] = ()) -> list[
     ]
 
 
+def with_console(stack: Sequence[Process], **parameters: Any) -> list[Process]:
+    """
+    Return a stack with a console, whose parameters are given.
+
+    One lidar scans all shepherds, as a page may ask for more of them.
+    """
+    lidars = [process for process in stack if process.executable == 'lidar']
+    others = [process for process in stack if process.executable != 'lidar']
+    every = Process('lidar', 'lidar', lidars[0].parameters | {'shepherd_ids': [-1]})
+    return [others[0], every, Process('console', 'console', parameters), *others[1:]]
+
+
 def stack_in(
     setting: Setting,
     controller: str,

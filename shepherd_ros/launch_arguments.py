@@ -47,6 +47,7 @@ LAUNCH_ARGUMENTS: dict[str, tuple[str, str]] = {
     **{f.name: (word_of(f.default), f.metadata['doc']) for f in fields(Episodes)},
     'mux': ('false', 'one of several sources commands each shepherd: true or false'),
     'standby': ('', 'with mux: other controllers to switch to, such as "strombom pierson"'),
+    'console': ('false', 'also serve the console, with mux: true or false'),
     'record': ('', 'new folder into which everything is recorded; empty: nothing is'),
     'params_file': ('', 'YAML file with parameters, which win over the arguments'),
     'namespace': ('', 'namespace of all nodes'),
@@ -61,6 +62,7 @@ class LaunchValues:
 
     controller: str
     mux: bool
+    console: bool
     standby: list[str]
     setting: Setting
     flock_sim: dict[str, Any]
@@ -87,7 +89,8 @@ def launch_values(given: dict[str, str]) -> LaunchValues:
         )
     return LaunchValues(
         controller=f'{controller}:{checkpoint}' if checkpoint else controller,
-        mux=read('mux', given['mux'], False),
+        mux=read('mux', given['mux'], False) or read('console', given['console'], False),
+        console=read('console', given['console'], False),
         standby=given['standby'].split(),
         setting=canonical_setting(Setting(**named, set=tuple(given['set'].split()))),
         flock_sim=Episodes(**paced).to_dict(),

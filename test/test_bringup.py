@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 import pytest
 import rclpy
 from rclpy.context import Context
-from shepherd_ros.bringup import controller_process, herding_stack, stack_in
+from shepherd_ros.bringup import controller_process, herding_stack, stack_in, with_console
 from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
 from shepherd_ros.experiments.methods import make_method
@@ -109,6 +109,19 @@ def test_controllers_that_cannot_stand_by_are_named(
 ) -> None:
     with pytest.raises(ConfigError, match=message):
         stack_in(Setting(), 'strombom', mux=mux, standby=standby)
+
+
+def test_a_console_comes_with_mux_and_one_lidar_for_all() -> None:
+    values = launch_values(DEFAULTS | {'console': 'true'})
+    assert values.console
+    assert values.mux
+    stack = stack_in(Setting(shepherds=3, set=('lidar.range_noise=0.1',)), 'strombom', mux=True)
+    watched = with_console(stack, port=0)
+    assert [p.name for p in watched] == [
+        'flock_sim', 'lidar', 'console', 'metrics', 'mux', 'strombom',
+    ]  # fmt: skip
+    assert watched[1].parameters == {'shepherd_ids': [-1], 'range_noise': 0.1}
+    assert watched[2].parameters == {'port': 0}
 
 
 def test_launch_file_and_herd_take_mux_in_with_one_argument() -> None:

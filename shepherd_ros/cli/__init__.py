@@ -57,6 +57,7 @@ def all_verbs() -> dict[str, Callable[..., Any]]:
     """Return the verbs by name."""
     from shepherd_ros.cli.bag_verbs import BagVerbs
     from shepherd_ros.cli.checkpoint_verbs import CheckpointVerbs
+    from shepherd_ros.cli.console_verb import LiveConsole
     from shepherd_ros.cli.counterfactual_verb import Counterfactual
     from shepherd_ros.cli.dataset_verbs import DatasetVerbs
     from shepherd_ros.cli.demo_verb import Demo
@@ -70,6 +71,7 @@ def all_verbs() -> dict[str, Callable[..., Any]]:
 
     return {
         'demo': Demo,
+        'console': LiveConsole,
         'evaluate': Evaluate,
         'figures': Figures,
         'search': Search,

@@ -19,6 +19,7 @@ from shepherd_ros.wire.encode import encode_goal
 from std_srvs.srv import SetBool, Trigger
 
 WORLD_NODE = 'flock_sim'
+REPORT_DELAY = 2.5  # [s] in which the report of a node may be of before
 SETTINGS = ('n_sheep', 'n_shepherds', 'flock', 'preset', 'goal_radius', 'episode_steps')
 _SERVICES = {
     'pause': SetBool,
@@ -47,6 +48,7 @@ class WorldRequests:
         self.server: PageServer | None = None  # once it runs
         self.present = False
         self.paused: bool | None = None
+        self.changed = -REPORT_DELAY  # when a page paused it or let it go on [s]
         self.rate = 0.0
         self.settings: dict[str, dict[str, Any]] = {}
         self.commands: dict[str, Callable[..., None]] = {
@@ -71,7 +73,8 @@ class WorldRequests:
         space = self.node.get_namespace().strip('/')
         name = f'{space}/{WORLD_NODE}: episode'.lstrip('/')
         messages = [report['message'] for report in reports if report['name'] == name]
-        self.paused = messages[0] == 'paused' if present and messages else None
+        if self.node.wall() - self.changed > REPORT_DELAY:
+            self.paused = messages[0] == 'paused' if present and messages else None
         if present and not self.present:
             self.refresh()
         self.present = present
@@ -134,7 +137,7 @@ class WorldRequests:
         def answered(response: Any, why: str) -> None:
             ok = response is not None and response.success
             if ok and paused is not None:
-                self.paused = paused
+                self.paused, self.changed = paused, self.node.wall()
                 self.say()
             answer(ok, why or response.message)
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from shepherd_ros.config import ConfigError
+from shepherd_ros.ros.intra_process import Output
 from shepherd_ros.ros.markers import ray_markers
 from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.ros.parameters import declare_config
@@ -21,6 +23,7 @@ from shepherd_ros.wire.episode import Episode
 from shepherd_ros.wire.topics import scan_topic
 import torch
 
+_ALL = -1  # in shepherd_ids
 RAY_MARKER_PERIOD = 0.05  # [s] wall time between two pictures
 
 
@@ -32,11 +35,14 @@ class LidarNode(ShepherdNode):
         compiled.start_numba()
         super().__init__('lidar', **kwargs)
         self.config = declare_config(self, LidarConfig())
-        self.shepherd_ids: list[int] = self.option('shepherd_ids', [0], 'shepherds that carry it')
-        if min(self.shepherd_ids) < 0 or len(set(self.shepherd_ids)) < len(self.shepherd_ids):
+        self.shepherd_ids: list[int] = self.option(
+            'shepherd_ids', [0], 'shepherds that carry it; [-1]: all of the episode'
+        )
+        ids = self.shepherd_ids
+        if ids != [_ALL] and (min(ids) < 0 or len(set(ids)) < len(ids)):
             raise ConfigError(
-                f'shepherd_ids is {self.shepherd_ids}: expected each shepherd once, counted '
-                'from 0, such as [0, 1, 2]'
+                f'shepherd_ids is {ids}: expected each shepherd once, counted from 0, such as '
+                '[0, 1, 2], or [-1] for all'
             )
         self.scan_frame: str = self.option(
             'scan_frame',
@@ -46,10 +52,8 @@ class LidarNode(ShepherdNode):
         self.noise_std: float = self.option(
             'noise_std', 0.0, 'noise on all perceived positions [m]', low=0.0
         )
-        self.outputs = {
-            h: [self.advertise(scan_topic(channel), h) for channel in self.config.layout.channels]
-            for h in self.shepherd_ids
-        }
+        self.outputs: dict[int, list[Output]] = {}
+        self._advertise([] if ids == [_ALL] else ids)
         self.markers = self.advertise('markers')
         self.present: list[int] = []
         self.sensors = torch.tensor(self.present)
@@ -58,14 +62,26 @@ class LidarNode(ShepherdNode):
 
     def on_episode(self, episode: Episode, world: WorldConfig) -> None:
         """Select the shepherds of the node that the episode has."""
-        self.present = [h for h in self.shepherd_ids if 0 <= h < episode.n_shepherds]
+        team = range(episode.n_shepherds)
+        ids = list(team) if self.shepherd_ids == [_ALL] else self.shepherd_ids
+        self.present = [h for h in ids if h in team]
         self.sensors = torch.tensor(self.present, dtype=torch.int64)
-        if self.present != self.shepherd_ids:
-            missing = sorted(set(self.shepherd_ids) - set(self.present))
+        self._advertise(ids)
+        if self.present != ids:
+            missing = sorted(set(ids) - set(self.present))
             self.get_logger().error(
                 f'shepherd_ids has {missing}: expected 0 to {episode.n_shepherds - 1}, '
                 'as this episode has no others; they get no scans'
             )
+
+    def _advertise(self, shepherds: Sequence[int]) -> None:
+        """Publish the scans of these shepherds and of no others."""
+        for h in self.outputs.keys() - set(shepherds):
+            for output in self.outputs.pop(h):
+                self.destroy_publisher(output)
+        for h in [h for h in shepherds if h not in self.outputs]:
+            channels = self.config.layout.channels
+            self.outputs[h] = [self.advertise(scan_topic(channel), h) for channel in channels]
 
     def on_state(self, ns: int, state: WorldState, episode: Episode) -> None:
         """Publish the scans of a state."""
@@ -90,7 +106,7 @@ class LidarNode(ShepherdNode):
         level, message = OK, 'scanning'
         if silence := self.listener.silence():
             level, message = WARN, silence
-        elif self.present != self.shepherd_ids:
+        elif self.present != list(self.outputs):
             level, message = ERROR, 'some shepherds are not in this episode'
         return [
             self.status(

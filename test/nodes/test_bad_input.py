@@ -59,7 +59,7 @@ REFUSED = {
     'negative watchdog': ('flock_sim', '-p watchdog_steps:=-1', 'watchdog_steps is -1: expected'),
     'three rays': ('lidar', '-p n_rays:=3', r'n_rays is 3: expected a value in \[4, 65536\]'),
     'negative noise': ('lidar', '-p noise_std:=-1.0', r'noise_std is -1.0: expected .*\[0.0, inf'),
-    'negative id': ('lidar', '-p shepherd_ids:=[-1]', r'shepherd_ids is \[-1\]: expected each'),
+    'negative id': ('lidar', '-p shepherd_ids:=[-2]', r'shepherd_ids is \[-2\]: expected each'),
     'id given twice': ('lidar', '-p shepherd_ids:=[0,0]', r'shepherd_ids is \[0, 0\]: expected'),
     'one id alone': ('lidar', '-p shepherd_ids:=0',
                      r'shepherd_ids is 0 \(int\): expected list, such as \[0\]'),

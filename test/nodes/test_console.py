@@ -33,7 +33,7 @@ SLOW = pytest.mark.timeout(240)  # processes that import torch
 @pytest.fixture(scope='module')
 def sim(shared_graph: Graph) -> Any:
     """Run a small world that two sources can drive, through mux."""
-    shared_graph.host('lidar', n_rays=32, shepherd_ids=[0, 1])
+    shared_graph.host('lidar', n_rays=32, shepherd_ids=[-1])
     shared_graph.host('metrics')
     for name in ('strombom', 'idle'):
         remaps = (f'shepherd_{h}/cmd_vel:=shepherd_{h}/cmd_vel/{name}' for h in range(2))
@@ -238,7 +238,7 @@ def test_reset_with_a_seed_and_settings_of_the_next_episode(
     settings = page.last('world')['settings']
     assert settings['n_sheep'] | {'value': 12} == settings['n_sheep']
     assert 'reynolds' in settings['flock']['choices']
-    values = {'n_sheep': 9, 'flock': 'reynolds', 'goal_radius': 3}
+    values = {'n_sheep': 9, 'n_shepherds': 3, 'flock': 'reynolds', 'goal_radius': 3}
     assert 'n_sheep 9' in ask(shared_graph, page, 'settings', values=values)
     shared_graph.until(
         lambda: page.last('world')['settings']['n_sheep']['value'] == 9, 'it is told'
@@ -249,8 +249,12 @@ def test_reset_with_a_seed_and_settings_of_the_next_episode(
     assert (episode.n_sheep, episode.goal_radius) == (9, 3.0)
     assert episode.world['flock']['model'] == 'reynolds'
     shared_graph.until(lambda: page.last('episode')['seed'] == 77, 'the page knows')
-    shared_graph.until(lambda: page.frames[-1].sheep.shape == (9, 2), 'and shows it')
-    back = {'n_sheep': 12, 'flock': 'strombom', 'goal_radius': 4.0}
+    page.send('watch', shepherd=2)
+    shared_graph.until(
+        lambda: page.frames[-1].sheep.shape == (9, 2) and page.frames[-1].lidar == 2,
+        'and shows it, the new shepherd with its lidar',
+    )
+    back = {'n_sheep': 12, 'n_shepherds': 2, 'flock': 'strombom', 'goal_radius': 4.0}
     ask(shared_graph, page, 'settings', values=back)
     assert 'seed 78' in ask(shared_graph, page, 'reset')
 
