@@ -75,6 +75,7 @@ setup(
         'onnx': ['onnx', 'onnxruntime'],
         'bench': ['vmas'],
         'foxglove': ['foxglove-sdk'],
+        'mutation': ['cosmic-ray', 'coverage'],
         'docs': ['furo', 'myst-parser', 'sphinx', 'sphinx-copybutton'],
         'test': ['pytest'],
         'dev': [

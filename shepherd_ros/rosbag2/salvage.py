@@ -80,11 +80,7 @@ class Salvage(Definitions):
 
     def take(self, file: BinaryIO, record: RecordRef) -> list[Message]:
         """Return the messages of a record; raises DamageError."""
-        if record.opcode in DEFINITIONS:
-            with suppress(DamageError):
-                return super().take(file, record)
-            self.lost_bytes += record.length
-        elif record.opcode == Opcode.MESSAGE_INDEX:
+        if record.opcode == Opcode.MESSAGE_INDEX:
             _, length = struct.unpack('<HI', read_at(file, record.body, 6))
             if length > record.length - 6:
                 raise DamageError(record.offset, 'a damaged index')
@@ -92,7 +88,7 @@ class Salvage(Definitions):
             kind = 'attachments' if record.opcode == Opcode.ATTACHMENT else 'private records'
             self.unsupported[kind] += 1
             self.lost_bytes += record.length
-        elif record.opcode not in (Opcode.HEADER, Opcode.CHUNK, Opcode.MESSAGE):
+        elif record.opcode not in (Opcode.HEADER, Opcode.CHUNK, Opcode.MESSAGE, *DEFINITIONS):
             raise DamageError(record.offset, 'a record that is not due here')
         return super().take(file, record)
 

@@ -108,7 +108,9 @@ class BagWriter:
                     'record one of them, remap the other',
                 )
             return
-        topic = TopicInfo(name, type_name, 0, tuple(qos), hash_text, serialization)
+        topic = TopicInfo(
+            name, type_name, qos=tuple(qos), type_hash=hash_text, serialization=serialization
+        )
         self._guarded(lambda: self._files.add_topic(topic, *schema))
 
     def write(self, topic: str, cdr: bytes, log_ns: int, publish_ns: int) -> None:

@@ -12,7 +12,17 @@ import pytest
 from shepherd_ros.recordings.recording_writer import offered_qos
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.metadata import FileInfo, Metadata, TopicInfo
-from shepherd_ros.rosbag2.qos import dump_yaml, Qos, qos_yaml, read_qos
+from shepherd_ros.rosbag2.qos import (
+    agreed,
+    dump_yaml,
+    duration_ns,
+    history,
+    INFINITE,
+    load_yaml,
+    Qos,
+    qos_yaml,
+    read_qos,
+)
 from shepherd_ros.wire.topics import contract
 import yaml
 
@@ -163,6 +173,48 @@ def test_older_versions_have_numbers_in_a_text() -> None:
 
 def test_no_anchors_in_yaml_even_for_equal_parts() -> None:
     assert '&' not in qos_yaml((LATCHED, LATCHED))
+
+
+def test_durations_are_ns_and_infinite_in_the_words_of_any_version() -> None:
+    infinite = 2**63 - 1
+    for duration, ns in (
+        ((0, 0), infinite), ((2**31 - 1, 0), infinite), ((2**31 - 1, 2**32 - 1), infinite),
+        (INFINITE, infinite), ((2**31 - 2, 5), (2**31 - 2) * 1_000_000_000 + 5), ((0, 7), 7),
+        ((3, 0), 3_000_000_000), ((3, 4), 3_000_000_004),
+    ):  # fmt: skip
+        assert duration_ns(duration) == ns, duration
+
+
+def test_a_late_reader_gets_what_all_latched_publishers_keep() -> None:
+    latched = [Qos(durability='transient_local', depth=depth) for depth in (0, 1, 5)]
+    assert history(tuple(latched)) == 1 + 1 + 5
+    assert history((*latched, Qos())) == history((Qos(),)) == 0
+    assert history(()) == 0
+
+
+def test_publishers_that_disagree_offer_the_default() -> None:
+    one, other = Qos('best_effort', depth=3), Qos('reliable', depth=3)
+    assert agreed((one, one), 'reliability') == 'best_effort'
+    assert agreed((one, other), 'depth') == 3
+    assert agreed((one, other), 'reliability') == agreed((), 'reliability') == 'reliable'
+
+
+def test_yaml_is_read_up_to_thirty_levels_and_sixteen_mebibytes() -> None:
+    assert load_yaml('[' * 30 + ']' * 30, Path('bag')) is not None
+    with pytest.raises(BagError, match='more than 30 levels'):
+        load_yaml('[' * 31 + ']' * 31, Path('bag'))
+    assert load_yaml('[' + '[], ' * 40 + ']', Path('bag')) == 40 * [[]]  # beside each other
+    with pytest.raises(BagError, match=f'{2**24 + 1} characters: expected at most {2**24}'):
+        load_yaml(' ' * (2**24 + 1), Path('bag'))
+    assert load_yaml(' ' * 2**24, Path('bag')) is None
+
+
+def test_a_bag_lasts_from_its_first_message_to_its_last_in_whatever_file() -> None:
+    files = (FileInfo('a', 100, 50, 1), FileInfo('b', 120, 10, 2), FileInfo('c'))
+    data = Metadata(files=files).to_dict()
+    assert data['starting_time'] == {'nanoseconds_since_epoch': 100}
+    assert data['duration'] == {'nanoseconds': 50}
+    assert data['message_count'] == 3
 
 
 TEXT = st.text() | st.text('-:#[]{},&*!|>%@`?~ \n\t"\\0123456789.eE_xyno')

@@ -19,8 +19,9 @@ from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 from shepherd_ros.recordings.info import bag_info
 from shepherd_ros.recordings.recording_writer import RecordingWriter
 from shepherd_ros.rosbag2.errors import BagError
-from shepherd_ros.rosbag2.mcap_reader import Storage
+from shepherd_ros.rosbag2.mcap_reader import ChunkRef, Storage
 from shepherd_ros.rosbag2.reader import open_bag
+from shepherd_ros.rosbag2.records import FOOTER_SIZE, Message
 from shepherd_ros.rosbag2.recover import recover
 from shepherd_ros.rosbag2.salvage import Salvage
 from shepherd_ros.wire.schemas import schema_text
@@ -54,6 +55,34 @@ def test_times_are_filtered(bag: Path) -> None:
         m for m in SENT[30:90] if m[0] == '/clock'
     ]
     assert rows(bag, start_ns=last, end_ns=first) == []
+
+
+def test_only_chunks_are_read_that_can_hold_what_is_wanted(
+    bag: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened, places, read = open_bag(bag), [], Storage.read
+
+    def counted(self: Storage, chunk: ChunkRef) -> list[Message]:
+        places.append(chunk)
+        return read(self, chunk)
+
+    monkeypatch.setattr(Storage, 'read', counted)
+    chunks = [(s, chunk) for s in opened.storages for chunk in s.chunks]
+    first, last = SENT[30][3], SENT[90][3]
+    for topics in (None, ['/goal'], ['/nothing']):
+        places.clear()
+        list(opened.messages(topics, first, last))
+        expected = [
+            chunk
+            for storage, chunk in chunks
+            if chunk.start_ns < last
+            and chunk.end_ns >= first
+            and (
+                topics is None or any(storage.channels[k].topic in topics for k in chunk.channels)
+            )
+        ]
+        assert places == expected
+        assert len(expected) < len(chunks)
 
 
 def test_without_metadata_yaml_the_files_are_found(bag: Path, tmp_path: Path) -> None:
@@ -131,6 +160,44 @@ def test_files_of_the_mcap_library(tmp_path: Path, options: dict[str, object]) -
     assert (bag.count, bag.start_ns, bag.end_ns) == (len(SENT), SENT[0][3], SENT[-1][3])
     assert bag.topics['/clock'].count == 10
     assert rows(path, topics=['/goal']) == [m for m in SENT if m[0] == '/goal']
+
+
+def test_messages_outside_chunks_are_read_a_mebibyte_at_a_time(tmp_path: Path) -> None:
+    text = cdr(make('String', data='x' * 400_000))
+    sent = [Sent('/t', 'std_msgs/msg/String', text, k, k) for k in (5, 1, 2, 9, 7, 8)]
+    mcap_of_others(tmp_path / 'runs.mcap', sent, use_chunking=False)
+    (storage,) = open_bag(tmp_path / 'runs.mcap').storages
+    assert [(ref.start_ns, ref.end_ns) for ref in storage.chunks] == [(1, 5), (2, 9), (7, 8)]
+    assert [len(storage.read(ref)) for ref in storage.chunks] == [2, 2, 2]
+    assert [row[3] for row in rows(tmp_path / 'runs.mcap')] == [1, 2, 5, 7, 8, 9]
+
+
+def test_an_index_or_a_footer_that_points_elsewhere_is_damage(tmp_path: Path) -> None:
+    path = tmp_path / 'bad.mcap'
+    mcap_of_others(path, list(MESSAGES), chunk_size=4000, enable_crcs=False)
+    data = path.read_bytes()
+    summary, offsets = struct.unpack_from('<QQ', data, len(data) - 28)
+    (chunk, *_) = open_bag(path).storages[0].chunks
+    index = data.index(struct.pack('<QQ', chunk.offset, chunk.length), summary)  # after two times
+    elsewhere = 'the index names a chunk that is not there'
+    last = len(data) - FOOTER_SIZE
+    for place, value, what in (
+        (index, chunk.offset + chunk.length, elsewhere),  # its message index
+        (index + 8, chunk.length - 1, elsewhere),
+        (index + 8, len(data) - chunk.offset + 1, elsewhere),
+        (index - 16, chunk.start_ns + 1, 'a message outside the time of its chunk'),
+        (index - 8, chunk.end_ns - 1, 'a message outside the time of its chunk'),
+        (len(data) - 28, 7, 'a summary at 7'),
+        (len(data) - 28, offsets + 1, f'a summary at {offsets + 1}'),
+        (len(data) - 20, last + 1, f'a summary at {summary}'),
+    ):
+        changed = bytearray(data)
+        struct.pack_into('<Q', changed, place, value)
+        path.write_bytes(changed)
+        with pytest.raises(BagError, match=what):
+            rows(path)
+    path.write_bytes(data)
+    assert rows(path) == SENT
 
 
 FORMS = ('use_chunking', 'repeat_channels', 'repeat_schemas', 'use_statistics',

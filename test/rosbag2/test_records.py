@@ -62,8 +62,11 @@ def test_a_chunk_that_unpacks_to_more_than_it_claims_takes_no_memory(kind: str) 
 
 
 def test_what_cannot_be_unpacked_is_refused() -> None:
-    for kind in ['zstd', 'lz4', 'gzip', 'zst\x00']:
-        with pytest.raises(DamageError, match=r'cannot unpack|packed with'):
+    for kind, what in (
+        ('zstd', 'that zstd cannot unpack'), ('lz4', 'that lz4 cannot unpack'),
+        ('gzip', "packed with 'gzip'"), ('zst\0', 'packed with .zst'), ('a' * 21, f"'{'a' * 20}'"),
+    ):  # fmt: skip
+        with pytest.raises(DamageError, match=what):
             unpack(Chunk(kind, b'nothing of the kind', 0, 0, 0, 10), 0)
 
 
@@ -78,6 +81,13 @@ def test_records_do_not_reach_beyond_the_file() -> None:
     for opcode in (0, 0x10, 0x7F):
         with pytest.raises(DamageError, match=f'a record of unknown kind {opcode}'):
             record_at(BytesIO(PREFIX.pack(opcode, 0)), 0, 9)
+        with pytest.raises(DamageError, match=f'a record of unknown kind {opcode} in a chunk'):
+            list(contents(PREFIX.pack(opcode, 0), 0))
+    for opcode in (*range(1, 0x10), 0x80, 0xFF):  # of the format, and private ones
+        record = record_at(BytesIO(bytes(3) + PREFIX.pack(opcode, 2) + bytes(2)), 3, 14)
+        assert (record.opcode, record.body, record.length, record.end) == (opcode, 12, 2, 14)
+        if opcode not in (3, 4, 5, 12):  # schema, channel, message, metadata: read in a chunk
+            assert list(contents(PREFIX.pack(opcode, 2) + bytes(2), 0)) == []
 
 
 def test_bodies_that_are_too_short_are_damaged() -> None:
@@ -93,6 +103,8 @@ def test_chunks_that_make_no_sense_are_damaged() -> None:
 
 
 def test_contents_end_where_the_chunk_ends() -> None:
+    empty = PREFIX.pack(5, MESSAGE.size) + MESSAGE.pack(1, 0, 5, 6)
+    assert list(contents(2 * empty, 0)) == 2 * [Message(1, 5, 6, b'')]
     whole = PREFIX.pack(5, MESSAGE.size + 3) + MESSAGE.pack(1, 0, 5, 6) + b'abc'
     assert list(contents(whole + PREFIX.pack(0x90, 2) + b'xy', 0)) == [Message(1, 5, 6, b'abc')]
     for bad in (whole[:-1], whole + b'\x05', PREFIX.pack(5, 3) + bytes(3), PREFIX.pack(6, 2**50)):

@@ -5,22 +5,27 @@ from __future__ import annotations
 from pathlib import Path
 import random
 import shutil
+import struct
+from typing import Any
 
 from mcap.reader import make_reader
 from mcap.writer import Writer
 import pytest
 from rosbag2.test_reader import mcap_of_others
-from rosbag2.tiny import recording, Sent, tiny_bag, write
+from rosbag2.tiny import cdr, make, recording, Sent, tiny_bag, write
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from shepherd_ros.cli import main
 from shepherd_ros.recordings.check import check_bag
-from shepherd_ros.recordings.recording_writer import recover_recording
+from shepherd_ros.recordings.recording_writer import RecordingWriter, recover_recording
+from shepherd_ros.rosbag2 import salvage
 from shepherd_ros.rosbag2.diff import diff_bags
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.mcap_reader import ChunkRef, Storage
 from shepherd_ros.rosbag2.reader import open_bag
+from shepherd_ros.rosbag2.records import MESSAGE, PREFIX
 from shepherd_ros.rosbag2.recover import recovered_folder
+from shepherd_ros.rosbag2.salvage import Salvage
 from shepherd_ros.rosbag2.writer import BagWriter
 
 MESSAGES = list(recording()[0])
@@ -206,6 +211,115 @@ def test_a_last_chunk_that_was_altered_is_lost_and_a_torn_one_is_not(
         result = recover_recording(tmp_path / f'{size}.mcap')
         assert result.messages == messages_in(whole, chunks[:-1])
         assert kept(result.folder) == MESSAGES[: result.messages]
+
+
+# ---- salvage, record by record ----
+
+
+def strings(path: Path, count: int, **options: Any) -> tuple[Path, list[ChunkRef], int]:
+    """Write a file with chunks of three messages; return it, its chunks and a message's bytes."""
+    with RecordingWriter(path, chunk_size=1 << 20, **options) as writer:
+        writer.add_topic('/t', 'std_msgs/msg/String')
+        writer.add_topic('/silent', 'std_msgs/msg/Float64')
+        data = cdr(make('String', data='x' * 31))
+        for k in range(count):
+            writer.write('/t', data, k, k)
+            if k % 3 == 2:
+                writer.flush()
+    file = path / f'{path.name}_0.mcap'
+    return file, Storage(file).chunks, PREFIX.size + MESSAGE.size + len(data)
+
+
+def salvaged(path: Path, data: bytes) -> tuple[list[int], int, int]:
+    """Return the log times in damaged bytes, and how many bytes and places are lost."""
+    path.write_bytes(data)
+    found = Salvage(path)
+    times = [message.log_ns for message in found]
+    return times, found.lost_bytes, found.lost_chunks
+
+
+def test_wherever_a_chunk_is_cut_its_whole_messages_are_kept(tmp_path: Path) -> None:
+    file, (_, last), size = strings(tmp_path / 'bag', 6)
+    data, end = file.read_bytes(), last.offset + last.length
+    before = end - 3 * size  # of the first message in the last chunk
+    for cut in range(last.offset, end + 1):
+        messages = max(cut - before, 0) // size
+        lost_bytes = 0 if cut in (last.offset, end) else cut - last.offset - messages * size
+        expected = list(range(3 + messages)), lost_bytes, int(cut not in (last.offset, end))
+        assert salvaged(tmp_path / 'cut.mcap', data[:cut]) == expected, cut
+
+
+def test_a_chunk_is_found_behind_damage_wherever_it_begins(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for compression in ('none', 'zstd', 'lz4'):
+        file, chunks, _ = strings(tmp_path / compression, 9, compression=compression)
+        data = bytearray(file.read_bytes())
+        data[chunks[1].offset + 9 + 33] ^= 1  # its checksum, or the name of its packing
+        data[chunks[1].offset] = 0x7F
+        for window in (1 << 20, *range(100, 190)):
+            monkeypatch.setattr(salvage, 'SEARCH_WINDOW', window)
+            times, lost_bytes, places = salvaged(tmp_path / 'bad.mcap', bytes(data))
+            assert times == [0, 1, 2, 6, 7, 8], (compression, window)
+            assert (lost_bytes, places) == (chunks[2].offset - chunks[1].offset, 1)
+
+
+def test_what_is_between_chunks_is_read_with_suspicion(tmp_path: Path) -> None:
+    file, (_, place, _), _ = strings(tmp_path / 'bag', 9)
+    data, at = file.read_bytes(), place.offset
+
+    def with_record(kind: int, body: bytes) -> tuple[list[int], int, int]:
+        record = PREFIX.pack(kind, len(body)) + body
+        return salvaged(tmp_path / 'more.mcap', data[:at] + record + data[at:])
+
+    everything, first = list(range(9)), [0, 1, 2]
+    assert with_record(0x0F, bytes(4)) == (first, 0, 0)  # the end of the data
+    assert with_record(0x0F, bytes(3)) == (everything, 12, 1)  # it has a checksum of four bytes
+    index = struct.pack('<HI', 1, 16)
+    assert with_record(0x07, index + bytes(16)) == (everything, 0, 0)
+    assert with_record(0x07, index + bytes(15)) == (everything, 9 + 6 + 15, 1)
+    assert with_record(0x07, struct.pack('<HI', 1, 10) + bytes(2)) == (everything, 9 + 8, 1)
+    assert with_record(0x09, b'abc') == (everything, 3, 0)  # an attachment
+    assert with_record(0x80, b'abcd') == (everything, 4, 0)  # of somebody's own
+    assert with_record(0x04, b'abcde') == (everything, 9 + 5, 1)  # a channel that cannot be read
+    assert with_record(0x01, b'abcde') == (everything, 0, 0)  # a header
+    assert with_record(0x0B, b'abcde') == (everything, 9 + 5, 1)  # statistics are not due here
+    message = MESSAGE.pack(99, 0, 5, 5) + b'xyz'
+    assert with_record(0x05, message) == (everything, 3, 0)  # of a channel that is not there
+
+
+def test_the_end_tells_of_topics_that_a_lost_chunk_would_have_told_of(tmp_path: Path) -> None:
+    path = tmp_path / 'theirs.mcap'
+    mcap_of_others(path, MESSAGES, chunk_size=CHUNK)
+    chunks = Storage(path).chunks
+    counts = [len(Storage(path).read(chunk)) for chunk in chunks]
+    data = bytearray(path.read_bytes())
+    data[chunks[0].offset + chunks[0].length - 9] ^= 1
+    path.write_bytes(data)
+    result = recover_recording(path)
+    assert (result.messages, result.lost_chunks) == (sum(counts[1:]), 1)
+    assert result.lost_bytes == chunks[0].length + len(index_of(path, chunks[0]))
+    assert kept(result.folder) == MESSAGES[counts[0] :]
+
+
+def index_of(path: Path, chunk: ChunkRef) -> bytes:
+    """Return the message indexes behind a chunk."""
+    data, end = path.read_bytes(), chunk.offset + chunk.length
+    begin = end
+    while data[end] == 0x07:
+        end += PREFIX.size + PREFIX.unpack_from(data, end)[1]
+    return data[begin:end]
+
+
+def test_topics_without_messages_are_kept(tmp_path: Path) -> None:
+    strings(tmp_path / 'bag', 4)
+    result = recover_recording(tmp_path / 'bag', tmp_path / 'new')
+    assert open_bag(result.folder).topics == open_bag(tmp_path / 'bag').topics
+    assert {name: topic.count for name, topic in open_bag(result.folder).topics.items()} == {
+        '/t': 4, '/silent': 0,
+    }  # fmt: skip
+    assert (result.topics, result.files, result.whole) == ({'/t': 4}, 1, True)
+    assert result.text().splitlines()[1:] == ['  /t: 4', 'lost: 0 bytes in 0 places']
 
 
 def test_messages_in_other_encodings_are_kept(

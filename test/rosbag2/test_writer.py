@@ -17,7 +17,7 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 import pytest
-from rosbag2.tiny import LOG_START_NS, recording, STORE, tiny_bag
+from rosbag2.tiny import cdr, LOG_START_NS, make, recording, STORE, tiny_bag
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 import shepherd_ros
@@ -237,6 +237,8 @@ def test_a_place_where_nothing_can_be_written(tmp_path: Path) -> None:
     [
         ({'compression': 'zst'}, "compression is 'zst': .*did you mean 'zstd'"),
         ({'chunk_size': 0}, 'chunk_size is 0: expected 1'),
+        ({'chunk_size': 2**27 + 1}, 'chunk_size is 134217729: expected 1 to 134217728'),
+        ({'split_bytes': 1023}, 'split_bytes is 1023'),
         ({'split_bytes': 10}, 'split_bytes is 10: expected 0, or at least 1024'),
         ({'split_seconds': -1.0}, 'split_seconds is -1.0: expected 0 or more'),
         ({'split_seconds': float('nan')}, 'split_seconds is nan'),
@@ -258,13 +260,43 @@ def test_wrong_use_is_refused_and_the_bag_goes_on(tmp_path: Path) -> None:
             writer.add_topic('/other', 'std_msgs/msg/Strin')
         with pytest.raises(BagError, match='/goal is not in it; call add_topic'):
             writer.write('/goal', b'', 0, 0)
-        for log_ns in (-1, 2**63):
+        for times in ((-1, 0), (2**63, 0), (0, -1), (0, 2**63)):
             with pytest.raises(BagError, match='expected times in'):
-                writer.write('/episode', b'', log_ns, 0)
+                writer.write('/episode', b'', *times)
         writer.write('/episode', MESSAGES[0].data, 5, 4)
+        assert writer.count == 1
     with pytest.raises(BagError, match='the bag is closed'):
         writer.write('/episode', b'', 0, 0)
     assert open_bag(tmp_path / 'bag').count == 1
+
+
+def test_times_are_kept_from_the_first_nanosecond_to_the_last(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / 'bag') as writer:
+        writer.add_topic('/t', STRING)
+        for times in ((0, 2**63 - 1), (2**63 - 1, 0)):
+            writer.write('/t', MESSAGES[0].data, *times)
+    bag = open_bag(tmp_path / 'bag')
+    assert (bag.start_ns, bag.end_ns) == (0, 2**63 - 1)
+    assert [m.publish_ns for m in bag.messages()] == [2**63 - 1, 0]
+
+
+def test_a_file_is_split_by_the_time_since_its_first_message_and_by_its_bytes(
+    tmp_path: Path,
+) -> None:
+    content = cdr(make('String', data='x' * 991))  # 1000 bytes
+    for name, options, counts in (
+        ('late', {'split_seconds': 2.0}, [2, 1, 2]),
+        ('large', {'split_bytes': 2062}, [2, 2, 1]),  # a message has 31 bytes more
+        ('larger', {'split_bytes': 2063}, [2, 3]),  # the first file has the topic among them
+    ):
+        with RecordingWriter(tmp_path / name, **options) as writer:  # type: ignore[arg-type]
+            writer.add_topic('/t', STRING)
+            for seconds in (0.0, 2.0, 2.5, 5.0, 7.0):
+                writer.write('/t', content, int(seconds * 1e9), 0)
+            assert writer.metadata().files[-1].path == f'{name}_{len(counts) - 1}.mcap'
+        bag = open_bag(tmp_path / name)
+        assert [storage.count for storage in bag.storages] == counts, name
+        assert bag.topics['/t'].count == sum(counts)
 
 
 def test_a_type_from_elsewhere_comes_with_its_text(tmp_path: Path) -> None:

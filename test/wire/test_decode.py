@@ -6,6 +6,7 @@ from contextlib import suppress
 from itertools import product
 import math
 import random
+import struct
 
 import numpy as np
 import pytest
@@ -83,6 +84,13 @@ def test_what_ends_too_early_is_refused() -> None:
         for size in range(len(raw) if decode is not decode_string else len(text) - 1):
             with pytest.raises(CdrError):
                 decode(raw[:size])
+
+
+def test_a_text_longer_than_its_message_is_told_in_numbers() -> None:
+    raw = b'\0\1\0\0' + struct.pack('<I', 9) + b'map\0'
+    with pytest.raises(CdrError, match=r'^12 bytes, a text of 9 bytes, where 4 are left$'):
+        decode_string(raw)
+    assert decode_string(raw[:4] + struct.pack('<I', 4) + b'map\0') == 'map'
 
 
 def test_stamps_before_the_epoch_do_not_wrap() -> None:

@@ -19,6 +19,7 @@ SENSELESS: list[dict[str, Any]] = [
     {'start': {}}, {'start': {'sec': -1, 'nanosec': 0}}, {'world': {}}, {'world': 3},
     {'world': {'dt': 0.0, 'episode_steps': 4}}, {'world': {'dt': 1e400, 'episode_steps': 4}},
     {'world': {'dt': 0.5, 'episode_steps': 10**9}}, {'seed': 2**63},
+    {'frame_id': ''}, {'version': 'new'}, {'version': ''}, {'schema': True}, {'schema': 0},
 ]  # fmt: skip
 
 
@@ -105,6 +106,24 @@ def test_an_episode_that_makes_no_sense_is_refused() -> None:
         text = json.dumps({**json.loads(episode_of().to_json()), **change})
         with pytest.raises(ConfigError, match='cannot be read'):
             Episode.from_json(text)
+
+
+def test_numbers_at_their_limits_are_taken_and_those_beyond_refused() -> None:
+    limits = {
+        ('number',): (0, 2**63 - 1), ('seed',): (-(2**63), 2**63 - 1), ('n_sheep',): (1, 10_000),
+        ('n_shepherds',): (1, 100), ('start', 'sec'): (0, 2**31 - 1),
+        ('start', 'nanosec'): (0, 10**9 - 1), ('world', 'episode_steps'): (1, 10**7),
+    }  # fmt: skip
+    for (*parents, name), (low, high) in limits.items():
+        for value in (low - 1, low, high, high + 1):
+            data = json.loads(episode_of().to_json())
+            part = data[parents[0]] if parents else data
+            part[name] = value
+            if low <= value <= high:
+                assert json.loads(Episode.from_json(json.dumps(data)).to_json()) == data
+            else:
+                with pytest.raises(ConfigError, match=f'{name} is {value}'):
+                    Episode.from_json(json.dumps(data))
 
 
 def test_a_text_that_is_no_episode_is_refused() -> None:

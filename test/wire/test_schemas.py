@@ -76,6 +76,33 @@ def test_a_type_that_is_not_installed_is_named():
         installed_text('no_msgs/Nothing')
 
 
+def test_a_type_is_read_from_the_first_prefix_that_has_it_and_a_service_in_three_parts(
+    tmp_path, monkeypatch
+):
+    texts = {'a/msg/Bar': 'int8 a\n', 'b/msg/Bar': 'int8 b\n', 'b/msg/Baz_Event': 'int8 c\n'}
+    for name, text in texts.items():
+        prefix, kind, message = name.split('/')
+        path = tmp_path / prefix / 'share' / 'foo' / kind / f'{message}.msg'
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+        (path.parents[1] / 'srv').mkdir(exist_ok=True)
+    service = tmp_path / 'b' / 'share' / 'foo' / 'srv' / 'Put.srv'
+    service.write_text('int8 x\n---  \nint8 y\n')
+    monkeypatch.setenv('AMENT_PREFIX_PATH', f'{tmp_path}/none::{tmp_path}/a:{tmp_path}/b')
+    assert installed_text('foo/Bar') == 'int8 a\n'
+    assert installed_text('foo/Baz_Event') == 'int8 c\n'  # a message may be called so
+    assert installed_text('foo/Put_Request') == 'int8 x\n'
+    assert installed_text('foo/Put_Response') == '\nint8 y\n'
+    expected = (
+        'service_msgs/ServiceEventInfo info\nfoo/Put_Request[<=1] request\n'
+        'foo/Put_Response[<=1] response\n'
+    )
+    assert installed_text('foo/Put_Event') == expected
+    for missing in ('foo/Put', 'foo/Put_Goal', 'foo/Get_Request', 'bar/Bar'):
+        with pytest.raises(FileNotFoundError, match=missing):
+            installed_text(missing)
+
+
 def test_texts_nest_depth_first_and_each_once():
     texts = {
         'a/Top': '# Comment words\na/Left left\nRight[2] right\nint32 N=3\nstring<=10 s\n',
