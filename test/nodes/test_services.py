@@ -324,13 +324,13 @@ def test_bad_seeds_and_numbers_of_steps_are_refused_with_a_reason_and_change_not
     graph: Graph, sim: Any
 ) -> None:
     for name, value, pattern in (
-        ('seed', 'seven', "expected 'Type.INTEGER' got 'Type.STRING'"),
-        ('seed', 1.5, "expected 'Type.INTEGER' got 'Type.DOUBLE'"),
-        ('seed', True, "expected 'Type.INTEGER' got 'Type.BOOL'"),
+        ('seed', 'seven', 'Wrong parameter type'),
+        ('seed', 1.5, 'Wrong parameter type'),
+        ('seed', True, 'Wrong parameter type'),
         ('seed', 2**63 - 1, 'seed out of range'),
         ('step_size', 0, 'step_size out of range'),
         ('step_size', -2, 'step_size out of range'),
-        ('step_size', 0.5, "expected 'Type.INTEGER' got 'Type.DOUBLE'"),
+        ('step_size', 0.5, 'Wrong parameter type'),
     ):
         taken, reason = graph.set_parameter('flock_sim', name, value)
         assert not taken
