@@ -12,6 +12,7 @@ const FIVE = [
   'fraction_reached',
 ];
 const SPARE = 1.25; // how much more than all bodies is in view
+const RIM = 0.03; // share of the view at its edge that is not used
 const CURVE_PERIOD = 200; // [ms] between two paintings of the curves
 
 class Live {
@@ -105,7 +106,9 @@ class Live {
       }
     }
     const seen = this.limits;
-    if (seen && left >= seen[0] && right <= seen[1] && bottom >= seen[2] && top <= seen[3]) return;
+    const rim = seen ? RIM * Math.max(seen[1] - seen[0], seen[3] - seen[2]) : 0;
+    const inside = seen && left > seen[0] + rim && right < seen[1] - rim;
+    if (inside && bottom > seen[2] + rim && top < seen[3] - rim) return;
     const [x, y] = [(left + right) / 2, (bottom + top) / 2];
     const [w, h] = [((right - left) / 2) * SPARE, ((top - bottom) / 2) * SPARE];
     this.limits = [x - w, x + w, y - h, y + h];

@@ -26,7 +26,7 @@ class Nodes {
       error: `${counts.error} error${counts.error === 1 ? '' : 's'}`,
       stale: `${counts.stale} silent`,
       warn: `${counts.warn} warning${counts.warn === 1 ? '' : 's'}`,
-      ok: 'all nodes well',
+      ok: 'nodes well',
       none: 'no nodes',
     };
     find('health').dataset.level = worst;

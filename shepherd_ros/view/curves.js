@@ -157,7 +157,7 @@ class Curves {
     c.textAlign = 'right';
     for (const y of up.numbers) {
       const at = this.down(row, y);
-      if (at > 5 && at < height - 1) c.fillText(tickText(y, up.decimals), LEFT - 6, at + 4);
+      if (at > 3 && at < height - 1) c.fillText(tickText(y, up.decimals), LEFT - 6, at + 4);
     }
     c.textAlign = 'center';
     const last = along.numbers.at(-1),

@@ -72,10 +72,10 @@ class Reader:
     def find(self, selector: str) -> WebElement:
         return self.driver.find_element(By.CSS_SELECTOR, selector)
 
-    def until(self, done: Callable[[], bool], what: str) -> None:
-        limit = time.monotonic() + PATIENCE
+    def until(self, done: Callable[[], bool], what: str, seconds: float = PATIENCE) -> None:
+        limit = time.monotonic() + seconds
         while not done():
-            assert time.monotonic() < limit, f'waited {PATIENCE} s until {what}'
+            assert time.monotonic() < limit, f'waited {seconds} s until {what}'
             time.sleep(0.02)
 
     def press(self, *keys: str) -> None:
