@@ -12,7 +12,7 @@ C = TypeVar('C', bound='Config')
 
 
 class ConfigError(ValueError):
-    """A value that the user gave and that cannot be used: what, what was expected, what to do."""
+    """An invalid value of the user: the message names value, expectation and fix."""
 
 
 def option(
@@ -131,26 +131,26 @@ class Config:
         }
 
     def changes(self) -> dict[str, Any]:
-        """Return plain nested data of what differs from the defaults; from_dict() reads it too."""
-        found: dict[str, Any] = {}
+        """Return nested data of the values that differ from the defaults, for from_dict()."""
+        changed: dict[str, Any] = {}
         for f in fields(self):
             value, default = getattr(self, f.name), f.default
             if isinstance(value, Config):
                 value, default = value.changes(), {}
             if value != default:
-                found[f.name] = value
-        return found
+                changed[f.name] = value
+        return changed
 
     def values(self) -> dict[str, Any]:
         """Return every value by its path, such as `flock.noise` of a world."""
-        found: dict[str, Any] = {}
+        by_path: dict[str, Any] = {}
         for f in fields(self):
             value = getattr(self, f.name)
             if isinstance(value, Config):
-                found |= {f'{f.name}.{path}': inner for path, inner in value.values().items()}
+                by_path |= {f'{f.name}.{path}': inner for path, inner in value.values().items()}
             elif 'doc' in f.metadata:
-                found[f.name] = value
-        return found | {name: value for name, (value, _) in self.added().items()}
+                by_path[f.name] = value
+        return by_path | {name: value for name, (value, _) in self.added().items()}
 
     def with_values(self: C, changes: Mapping[str, Any]) -> C:
         """Return the configuration with other values by path, or raise; text is read()."""
@@ -171,7 +171,7 @@ class Config:
         return replace(type(self).from_dict(self.to_dict() | own), **parts)
 
     def equals(self, stored: Any) -> bool:
-        """Return whether data that to_dict() gave is of this; what it lacks has its default."""
+        """Return whether data of to_dict() equals this; missing values have their defaults."""
         try:
             return type(self).from_dict(mapping(type(self).__name__, stored)) == self
         except ConfigError:

@@ -106,8 +106,8 @@ def _of_all_nodes(given: dict[str, str]) -> dict[str, Any]:
         try:
             content = yaml.safe_load(Path(file).read_text(encoding='utf-8'))
         except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            what = ' '.join(str(error).split())
-            raise ConfigError(f'params_file is {file}: expected a YAML file ({what})') from None
+            reason = ' '.join(str(error).split())
+            raise ConfigError(f'params_file is {file}: expected a YAML file ({reason})') from None
         for node, parameters in mapping('params_file', content).items():
             mapping(f'{node} in params_file', parameters)
     if rviz and not is_installed('rviz2'):

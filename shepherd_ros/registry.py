@@ -77,7 +77,7 @@ class Registry(Mapping[str, E], Generic[E]):
         return self._entries[name]
 
     def __contains__(self, name: object) -> bool:
-        """Return whether there is an entry of that name."""
+        """Return whether an entry has that name."""
         load_plugins()
         return name in self._entries
 
@@ -112,7 +112,7 @@ class Extended(Config):
     def __post_init__(self) -> None:
         """Check every option."""
         super().__post_init__()
-        found = []
+        others = []
         for name, value in sorted(self.others):
             known = self.registry.keys() - self._own()
             if name not in known:
@@ -120,8 +120,8 @@ class Extended(Config):
                 raise unknown_name(f'{type(self).__name__} field', name, names)
             entry = self.registry[name]
             value = checked(name, value, entry.default, _limits(entry))
-            found += [(name, value)] if value != entry.default else []
-        object.__setattr__(self, 'others', tuple(found))
+            others += [(name, value)] if value != entry.default else []
+        object.__setattr__(self, 'others', tuple(others))
 
     @classmethod
     def _own(cls) -> list[str]:
@@ -143,9 +143,9 @@ class Extended(Config):
         return data | dict(data.pop('others'))
 
     def changes(self) -> dict[str, Any]:
-        """Return plain nested data of what differs from the defaults."""
-        found = super().changes()
-        return found | dict(found.pop('others', ()))
+        """Return plain nested data of the values that differ from the defaults."""
+        changes = super().changes()
+        return changes | dict(changes.pop('others', ()))
 
     @classmethod
     def from_dict(cls: type[C], data: Mapping[str, Any]) -> C:
@@ -200,8 +200,8 @@ def _import(name: str, source: str) -> None:
 
 def _import_file(path: Path) -> None:
     """Import a Python file as a module of its own name, unless a program has imported it."""
-    there = getattr(sys.modules.get(path.stem), '__file__', None)
-    if there is not None and path.is_file() and path.samefile(there):
+    imported_from = getattr(sys.modules.get(path.stem), '__file__', None)
+    if imported_from is not None and path.is_file() and path.samefile(imported_from):
         return
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None or not path.is_file():

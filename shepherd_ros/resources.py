@@ -1,4 +1,4 @@
-"""Paths of what is installed beside the code: schemas, checkpoints, executables."""
+"""Paths of files installed beside the code: schemas, checkpoints, executables."""
 
 from __future__ import annotations
 
@@ -53,5 +53,5 @@ def quick_profile() -> tuple[str, Path]:
 def executable_path(name: str) -> Path | None:
     """Return the path of an executable: beside this Python, or on the PATH; None if neither."""
     beside = Path(sys.executable).parent / name
-    found = beside if beside.exists() else shutil.which(name)
-    return Path(found) if found else None
+    path = beside if beside.exists() else shutil.which(name)
+    return Path(path) if path else None

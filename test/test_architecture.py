@@ -187,6 +187,23 @@ def test_whatever_is_public_says_what_it_is_and_returns() -> None:
     assert not offenders
 
 
+NO_TERMS = {'came', 'got', 'kept', 'theirs', 'there', 'way', 'whose'}  # say the thing instead
+
+
+def test_names_and_modules_say_the_thing() -> None:
+    offenders = []
+    for path in MODULES:
+        if re.match(r'(What|How|Where|Who|When)\b', ast.get_docstring(tree(path)) or ''):
+            offenders.append(f'{short(path)}: its docstring begins with a question')
+        for node in ast.walk(tree(path)):
+            name = node.arg if isinstance(node, ast.arg) else ''
+            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+                name = node.id
+            if name in NO_TERMS:
+                offenders.append(f'{short(path)}:{getattr(node, "lineno", 0)}: {name}')
+    assert not offenders
+
+
 def test_files_name_no_place_of_one_machine_and_leave_nothing_to_do() -> None:
     here = [f'/{"work"}/', f'{Path.home()}/']
     if len(ROOT.parts) > 2:

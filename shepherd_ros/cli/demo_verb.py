@@ -102,10 +102,10 @@ class Demo(OneSetting):
             processes.start(stack[-1:])
 
             def done() -> bool:
-                seen = probe.metrics
+                metrics = probe.metrics
                 text = (
-                    f'{seen["fraction_in_goal"]:4.0%} in goal, flock '
-                    f'{seen["goal_distance"]:5.1f} m from its center'
+                    f'{metrics["fraction_in_goal"]:4.0%} in goal, flock '
+                    f'{metrics["goal_distance"]:5.1f} m from its center'
                 )
                 progress.update(task, completed=max(probe.step, 0), description=text)
                 return processes.ended('flock_sim')

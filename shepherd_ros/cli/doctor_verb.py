@@ -30,7 +30,7 @@ class Doctor:
     """Print JSON."""
 
     def run(self) -> int:
-        """Check all and print what was found."""
+        """Check all and print the findings; return the exit code."""
         from shepherd_ros.doctor.checks import run_checks
 
         rows: list[tuple[str, Diagnosis]] = []

@@ -59,7 +59,7 @@ class Evaluate(ManySettings):
     """Write into a folder that holds something else."""
 
     def run(self) -> int:
-        """Run what is missing; return the exit code."""
+        """Run the missing cells; return the exit code."""
         from shepherd_ros.experiments.campaign import codes_of, done_of, plan, run_tasks, shard_of
         from shepherd_ros.experiments.catalog import experiments
         from shepherd_ros.experiments.cells import Cell
@@ -74,17 +74,17 @@ class Evaluate(ManySettings):
             for e in chosen
             for task in plan(e.settings, e.controllers, self.seed, e.episodes)
         }
-        mine = shard_of(list(tasks.values()), self.shard or f'{rank() + 1}/{ranks()}')
+        own_tasks = shard_of(list(tasks.values()), self.shard or f'{rank() + 1}/{ranks()}')
         claimed_folder('--out', self.out, '*.parquet *.md', self.overwrite)
         rows = results_in(self.out)
         barrier()  # a file that is read is not replaced meanwhile
-        there = done_of(mine, rows)
-        missing = [task for task in mine if task not in there]
+        finished = done_of(own_tasks, rows)
+        missing = [task for task in own_tasks if task not in finished]
         code, ended = commit(), 0
         columns = (*Progress.get_default_columns()[:3], TimeElapsedColumn(), TimeRemainingColumn())
         with Progress(*columns, disable=rank() > 0) as progress:
             left = progress.add_task('cells', total=sum(task.cell.cost() for task in missing))
-            _tell(mine, missing, code, codes_of(there, rows))
+            _tell(own_tasks, missing, code, codes_of(finished, rows))
 
             def done(cell: Cell) -> None:
                 nonlocal ended
@@ -132,12 +132,12 @@ class Evaluate(ManySettings):
                 print(path, *samples.notes, sep='\n')
 
 
-def _tell(mine: list[Task], missing: list[Task], code: str, codes: Sequence[str]) -> None:
+def _tell(tasks: list[Task], missing: list[Task], code: str, codes: Sequence[str]) -> None:
     """Print what there is to do, and by which other code the rest was done."""
     minutes = sum(task.cell.cost() for task in missing) / 60
     print(
-        f'{sum(t.cell.count for t in mine)} episodes in {len(mine)} cells, '
-        f'{len(mine) - len(missing)} of them done; about {minutes:.0f} minutes of one '
+        f'{sum(t.cell.count for t in tasks)} episodes in {len(tasks)} cells, '
+        f'{len(tasks) - len(missing)} of them done; about {minutes:.0f} minutes of one '
         'core are left'
     )
     others = [name or 'unknown' for name in codes if name != code]

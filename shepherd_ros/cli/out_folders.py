@@ -32,13 +32,13 @@ def claimed_folder(option: str, folder: Path, marks: str, overwrite: bool | None
     the verb has no --overwrite.
     """
     made_folder(option, folder)
-    there = sorted(path.name for path in folder.iterdir() if path.name[0] != '.')
+    files = sorted(path.name for path in folder.iterdir() if path.name[0] != '.')
     own = any(next(folder.glob(mark), None) for mark in marks.split())
-    if there and not (own or overwrite):
+    if files and not (own or overwrite):
         more = '' if overwrite is None else '; --overwrite writes beside what is there'
         again = ', or one that was written by the same command' if marks else ''
         raise UserError(
-            f'{option} is {folder}, which holds something else, such as {there[0]}: expected a '
+            f'{option} is {folder}, which holds something else, such as {files[0]}: expected a '
             f'new folder{again}{more}'
         )
 

@@ -1,4 +1,4 @@
-"""What a check of the installation has found."""
+"""Diagnosis of a part of the installation."""
 
 from __future__ import annotations
 

@@ -206,5 +206,5 @@ class HerdingParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
 
 
 if ID not in gymnasium.registry:
-    here = f'{__name__}:'
-    gymnasium.register(ID, here + 'HerdingEnv', vector_entry_point=here + 'make_vector_env')
+    module = f'{__name__}:'
+    gymnasium.register(ID, module + 'HerdingEnv', vector_entry_point=module + 'make_vector_env')

@@ -194,14 +194,14 @@ class DaggerTrainer:
             'progress': dict(self.progress),
         }
 
-    def load_state_dict(self, kept: dict[str, Any]) -> None:
+    def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the state that state_dict() returned."""
-        self.learner.load_state_dict(kept['cloner'])
+        self.learner.load_state_dict(state['cloner'])
         self.learner.averaged(self.policy)
-        for worlds, state in zip(self.worlds, kept['worlds'], strict=True):
-            worlds.load_state_dict(state)
-        self.examples.load_state_dict(kept['examples'])
-        self.progress = dict(kept['progress'])
+        for worlds, part in zip(self.worlds, state['worlds'], strict=True):
+            worlds.load_state_dict(part)
+        self.examples.load_state_dict(state['examples'])
+        self.progress = dict(state['progress'])
 
 
 def train_dagger(

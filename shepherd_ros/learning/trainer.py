@@ -30,5 +30,5 @@ class Trainer(Protocol):
     def state_dict(self) -> dict[str, Any]:
         """Return the state of the training."""
 
-    def load_state_dict(self, kept: dict[str, Any]) -> None:
+    def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the state that state_dict() returned."""

@@ -1,4 +1,4 @@
-"""Where shepherds look, for commands in their own frames (no rclpy, no torch)."""
+"""Yaw of the shepherds, for commands in their own frames (no rclpy, no torch)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the console shows of a running graph: newest messages, decoded when they are drawn."""
+"""Feed of the console from a running graph: newest messages, decoded when they are drawn."""
 
 from __future__ import annotations
 

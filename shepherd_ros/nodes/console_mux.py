@@ -1,4 +1,4 @@
-"""What pages of the console ask of mux: who drives each shepherd, and commands by hand."""
+"""Requests of the console to mux: the driver of each shepherd, and commands by hand."""
 
 from __future__ import annotations
 

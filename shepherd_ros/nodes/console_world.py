@@ -1,4 +1,4 @@
-"""What pages of the console ask of flock_sim: pause, step, reset, pace, settings and goal."""
+"""Requests of the console to flock_sim: pause, step, reset, pace, settings and goal."""
 
 from __future__ import annotations
 

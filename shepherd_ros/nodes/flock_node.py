@@ -160,7 +160,7 @@ class FlockSim(ShepherdNode):
             self.advance(self.flock_commands.commands.held(self.flock_commands.watchdog_steps))
 
     def keep_pace(self) -> None:
-        """Make steps at the rate that is asked for, in lockstep at most."""
+        """Set the timer of steps to the rate; in lockstep that is the highest rate."""
         paced = self.mode == 'realtime' or self.rate > 0
         self.pacing.limited = self.pacing.held = paced and self.mode == 'lockstep'
         self.ticker.timer_period_ns = round(self.period * 1e9)
@@ -170,12 +170,12 @@ class FlockSim(ShepherdNode):
             self.ticker.cancel()
 
     def resume(self) -> None:
-        """Go on after a pause was lifted or steps were asked for."""
+        """Go on after the end of a pause or a request of steps."""
         if self.mode == 'lockstep' and self.flock_commands.complete:
             self.on_answers()
 
     def watch(self) -> None:
-        """In lockstep: show a state again that was not answered, and name who is silent."""
+        """In lockstep: publish a state without response again, and log silent shepherds."""
         if not self.pacing.settled:
             if self.pacing.settle(self.output.readers(), self.wall()):
                 self.publish_state(again=True)
@@ -216,13 +216,13 @@ class FlockSim(ShepherdNode):
             self.set_goal(self.pending_goal)
 
     def on_rivals(self) -> None:
-        """Say again what is latched: a rival may have said something else."""
+        """Publish the latched topics again, after those of a rival."""
         self.output.episode(self.now_ns, self.episode, self.state, seconds=0.0)
 
     # ---- parameters and diagnostics ----
 
     def on_parameters(self, parameters: list[Parameter]) -> None:
-        """Go on at a new rate; what is new of the world holds from the next episode on."""
+        """Apply a new rate at once, and parameters of the world from the next episode on."""
         for parameter in parameters:
             if parameter.name == 'seed':
                 self.next_seed = parameter.value

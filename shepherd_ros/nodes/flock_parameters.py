@@ -67,7 +67,7 @@ class WorldParameters:
         }
 
     def take(self, preset: str) -> None:
-        """Set what follows from another preset."""
+        """Set the parameters that follow from another preset."""
         followers = self.following({'preset': preset})
         self.preset = preset
         self.node.set_parameters([Parameter(n, value=value) for n, value in followers.items()])

@@ -43,7 +43,7 @@ class MetricsNode(ShepherdNode):
         self.moment, self.gaps, self.reported = None, 0, False
 
     def on_state(self, ns: int, state: WorldState, episode: Episode) -> None:
-        """Count a step and publish what the metrics are now."""
+        """Count a step and publish the metrics."""
         step, steps = int(state.step), episode.episode_steps
         last = -1 if self.moment is None else int(self.moment.state.step)
         if self.moment is None or step < last:
@@ -76,7 +76,7 @@ class MetricsNode(ShepherdNode):
         self.get_logger().info(f'{name}: {shown}')
 
     def diagnose(self) -> list[DiagnosticStatus]:
-        """Return whether every step was heard."""
+        """Return the status of the metrics: whether every step was received."""
         level, message = OK, 'counting'
         if silence := self.listener.silence():
             level, message = WARN, silence

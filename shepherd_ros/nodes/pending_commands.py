@@ -1,4 +1,4 @@
-"""Commands of the shepherds as they arrive: who answered which state, who is late (no rclpy)."""
+"""Buffer of the shepherds' commands: answers to the present state, and ages (no rclpy)."""
 
 from __future__ import annotations
 

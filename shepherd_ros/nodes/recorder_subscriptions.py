@@ -1,4 +1,4 @@
-"""Subscriptions of a recorder: all topics that it is asked for, messages in order of arrival."""
+"""Subscriptions of a recorder: its topics, and their messages in order of arrival."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Row = tuple[str, bytes, dict[str, int]]  # topic, message, times and number
 
 @dataclass
 class RecordedTopic:
-    """A subscription, and who publishes what it hears."""
+    """A subscription, and the publishers of its topic."""
 
     kind: str
     reliable: bool
@@ -38,7 +38,7 @@ class RecordedTopic:
 
 class RecorderSubscriptions:
     """
-    Subscribes to topics and hands out what came, in the order in which it came.
+    Subscribes to topics, and returns their messages in order of arrival.
 
     Topics of the contract are listened to before anybody publishes them, others as soon as
     look() finds them.
@@ -62,7 +62,7 @@ class RecorderSubscriptions:
         self.losses = Losses(self._publishers)
         self.wait_ns, self.order = round(wait * 1e9), _sent if wait else _received
         self.group = PolledGroup()
-        self.kept: list[Row] = []  # came after the last look at another topic began
+        self.pending: list[Row] = []  # came after the last look at another topic began
         self.expect(node.get_namespace().rstrip('/'))
         self.look()
 
@@ -71,24 +71,24 @@ class RecorderSubscriptions:
     def poll_messages(self, everything: bool = False) -> list[Row]:
         """Return the messages so far, in order; everything: also those that may be overtaken."""
         self.group.open = False
-        now, rows = time.time_ns() - self.wait_ns, self.kept
-        for name, heard in self.inputs.items():
-            handle, kind = heard.subscription.handle, heard.subscription.msg_type
+        now, rows = time.time_ns() - self.wait_ns, self.pending
+        for name, recorded in self.inputs.items():
+            handle, kind = recorded.subscription.handle, recorded.subscription.msg_type
             with handle:
                 for _ in range(QUEUE_DEPTH):
-                    taken = handle.take_message(kind, True)
-                    if taken is None:
+                    message = handle.take_message(kind, True)
+                    if message is None:
                         break
-                    rows.append((name, *taken))
+                    rows.append((name, *message))
         rows.sort(key=self.order)
         cut = len(rows) if everything else bisect_right(rows, now, key=self.order)
-        self.kept = rows[cut:]
+        self.pending = rows[cut:]
         return rows[:cut]
 
     # ---- topics ----
 
     def expect(self, namespace: str, n_shepherds: int = 0) -> None:
-        """Listen to the topics of the contract in a namespace, whether they are there or not."""
+        """Subscribe to the topics of the contract in a namespace, with or without publishers."""
         topics, profiles = contract()
         for row in topics.values():
             for h in range(n_shepherds) if '{h}' in row.name else (0,):
@@ -103,42 +103,44 @@ class RecorderSubscriptions:
                         continue  # look() refuses it once somebody publishes it
 
     def look(self) -> None:
-        """Listen to what is new, as its publishers offer it."""
+        """Subscribe to new topics, with the quality of service of their publishers."""
         for name, _ in self.node.get_topic_names_and_types():
             if self.wanted(name):
                 offers = self.node.get_publishers_info_by_topic(name)
-                heard = self.inputs.get(name)
-                if offers and (heard is None or _ids(offers) != _ids(heard.offers)):
-                    self._meet(name, offers)
+                recorded = self.inputs.get(name)
+                if offers and (recorded is None or _ids(offers) != _ids(recorded.offers)):
+                    self._on_publishers(name, offers)
 
-    def _meet(self, name: str, offers: list[Any]) -> None:
+    def _on_publishers(self, name: str, offers: list[Any]) -> None:
         """Listen to a topic that others publish than before."""
-        heard = self.inputs.get(name)
+        recorded = self.inputs.get(name)
         kinds = sorted({offer.topic_type for offer in offers})
-        if heard is not None and heard.offers:
-            kinds = sorted({*kinds, heard.kind})
+        if recorded is not None and recorded.offers:
+            kinds = sorted({*kinds, recorded.kind})
         if len(kinds) > 1:
             self._refuse(name, f'it has the types {", ".join(kinds)}, expected one: remap others')
             return
         profiles = [offer.qos_profile for offer in offers]
         reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
         latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
-        if heard is not None and heard.offers:  # what suits those from before has to suit these
-            reliable, latched = reliable and heard.reliable, latched and heard.latched
-        if heard is None or (kinds[0], reliable, latched) != (
-            heard.kind, heard.reliable, heard.latched,
+        if (
+            recorded is not None and recorded.offers
+        ):  # what suits those from before has to suit these
+            reliable, latched = reliable and recorded.reliable, latched and recorded.latched
+        if recorded is None or (kinds[0], reliable, latched) != (
+            recorded.kind, recorded.reliable, recorded.latched,
         ):  # fmt: skip
             try:
-                heard = self._subscribe(name, kinds[0], reliable, latched)
+                recorded = self._subscribe(name, kinds[0], reliable, latched)
             except (AttributeError, ImportError, FileNotFoundError, ValueError) as error:
                 self._refuse(name, f'{kinds[0]} is missing ({error}): install it or --exclude')
                 return
-        if not heard.offers:
-            self.node.get_logger().info(f'recording {name} ({heard.kind})')
-            ours = known(name)
-            if ours is not None:
-                self.expect(ours.namespace)
-        heard.offers = offers
+        if not recorded.offers:
+            self.node.get_logger().info(f'recording {name} ({recorded.kind})')
+            entry = known(name)
+            if entry is not None:
+                self.expect(entry.namespace)
+        recorded.offers = offers
         self.losses.topics[name].publishers |= _ids(offers)
 
     def _subscribe(self, name: str, kind: str, reliable: bool, latched: bool) -> RecordedTopic:
@@ -146,10 +148,10 @@ class RecorderSubscriptions:
         message = message_type(kind)
         if kind not in wire_types():
             nested_text(kind, installed_text)  # raises FileNotFoundError
-        before = self.inputs.get(name)
-        if before is not None:
-            self.kept = self.poll_messages(everything=True)
-            self.node.destroy_subscription(before.subscription)
+        previous = self.inputs.get(name)
+        if previous is not None:
+            self.pending = self.poll_messages(everything=True)
+            self.node.destroy_subscription(previous.subscription)
         subscription = self.node.create_subscription(
             message,
             name,
@@ -174,24 +176,24 @@ class RecorderSubscriptions:
             self.losses.latched.add(name)
         return self.inputs[name]
 
-    def _refuse(self, name: str, why: str) -> None:
+    def _refuse(self, name: str, reason: str) -> None:
         """Go on without a topic; the bag is not whole then."""
-        if self.refused.get(name) != why:
-            self.refused[name] = why
-            self.refuse(f'{name} is not recorded: {why}')
+        if self.refused.get(name) != reason:
+            self.refused[name] = reason
+            self.refuse(f'{name} is not recorded: {reason}')
 
     def _publishers(self, name: str) -> set[bytes]:
         return _ids(self.node.get_publishers_info_by_topic(name))
 
     def described(self, name: str) -> dict[str, Any]:
         """Return a topic as it is announced to a bag."""
-        heard = self.inputs[name]
-        offers = self.node.get_publishers_info_by_topic(name) or heard.offers
+        recorded = self.inputs[name]
+        offers = self.node.get_publishers_info_by_topic(name) or recorded.offers
         profiles = [offer.qos_profile for offer in offers]
         qos = tuple(_offered(profile) for profile in profiles)
-        topic: dict[str, Any] = {'type_name': heard.kind, 'qos': qos}
-        if heard.kind not in wire_types():
-            schema = 'ros2msg', nested_text(heard.kind, installed_text).encode()
+        topic: dict[str, Any] = {'type_name': recorded.kind, 'qos': qos}
+        if recorded.kind not in wire_types():
+            schema = 'ros2msg', nested_text(recorded.kind, installed_text).encode()
             hash_text = str(offers[0].topic_type_hash) if offers else ''
             topic |= {'schema': schema, 'hash_text': hash_text}
         return topic

@@ -49,12 +49,12 @@ class WorldClient(Node):
         return self._call('step', Trigger, Trigger.Request()).message
 
     def drive(self, source: str, shepherd: int | None) -> str:
-        """Select a source of mux for one shepherd or all; return what it answers."""
+        """Select a source of mux for one shepherd or all; return its message."""
         room = 'mux/select' if shepherd is None else f'{SHEPHERD.format(h=shepherd)}/mux'
         return self._ask_mux(f'{room}/{source}', Trigger, Trigger.Request())
 
     def lock(self, locked: bool, shepherd: int | None) -> str:
-        """Lock one shepherd or all, or let them go; return what mux answers."""
+        """Lock or unlock one shepherd or all; return the message of mux."""
         room = 'mux' if shepherd is None else f'{SHEPHERD.format(h=shepherd)}/mux'
         return self._ask_mux(f'{room}/lock', SetBool, SetBool.Request(data=locked))
 

@@ -1,4 +1,4 @@
-"""What a checkpoint says of itself, in rows for a page; what it does not say is left out."""
+"""Rows of a checkpoint's metadata for a page; missing entries are left out."""
 
 from __future__ import annotations
 

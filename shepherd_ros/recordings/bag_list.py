@@ -67,15 +67,15 @@ def list_bags(
     on_bag: Callable[[int, Bag], None] = lambda done, bag: None,
 ) -> BagList:
     """Return what is in bags; on_bag(how many are done, bag) is called before each is read."""
-    found = BagList()
+    rows = BagList()
     for done, folder in enumerate(folders):
         try:
             bag = open_bag(folder)
             on_bag(done, bag)
-            found.bags[folder.name] = bag_info(bag, metrics)
+            rows.bags[folder.name] = bag_info(bag, metrics)
         except BagError as error:
-            found.unreadable[folder.name] = str(error)
-    return found
+            rows.unreadable[folder.name] = str(error)
+    return rows
 
 
 def _row(name: str, info: BagInfo) -> tuple[str, ...]:

@@ -37,7 +37,7 @@ class EpisodeSummary:
 
     @property
     def row(self) -> list[str]:
-        """Return the metrics and what they are of: none where states before the last are gone."""
+        """Return the metrics with their part of the episode, none where earlier states lack."""
         if self.whole:
             return [*self.metrics, '']
         if 0 < self.states == self.last + 1:

@@ -164,7 +164,7 @@ class ShepherdNode(ParameterNode):
         return time.monotonic()
 
     def serve(self) -> None:
-        """Open what the node serves; not called for help or documentation."""
+        """Open the servers of the node; not called for help or documentation."""
 
     def end(self) -> int:
         """Finish the work of the node and return the exit code of the process."""

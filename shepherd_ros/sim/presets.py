@@ -1,5 +1,5 @@
 """
-Named settings of what the paper leaves open: the time step and the range of repulsion.
+Named settings of the choices that the paper leaves open: time step and range of repulsion.
 
 The paper gives no time step, and its interaction range of 10 m makes the flock explode: see the
 comments at each preset. A preset only changes defaults; every value can still be set by itself.

@@ -44,13 +44,15 @@ class MetricsTally:
 
     def world(self, index: int | slice | Tensor) -> MetricsTally:
         """Return part of a batch, selected along its first axis."""
-        return self._each(lambda mine, _: mine[index], self)
+        return self._each(lambda value, _: value[index], self)
 
     def where(self, chosen: Tensor, other: MetricsTally) -> MetricsTally:
         """Return this tally for the chosen worlds (B,) bool, another one for the rest."""
 
-        def pick(mine: Tensor, theirs: Tensor) -> Tensor:
-            return torch.where(chosen.reshape(-1, *(1,) * (mine.dim() - 1)), mine, theirs)
+        def pick(own_value: Tensor, other_value: Tensor) -> Tensor:
+            return torch.where(
+                chosen.reshape(-1, *(1,) * (own_value.dim() - 1)), own_value, other_value
+            )
 
         return self._each(pick, other)
 

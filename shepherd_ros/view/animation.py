@@ -95,8 +95,8 @@ def ray_segments(origin: _Array, ranges: _Array) -> _Array:
     """Return the lines from origin (2,) m to where rays (R,) m end, (K, 2, 2) m; not free rays."""
     angle = 2 * np.pi * np.arange(len(ranges)) / len(ranges)
     hit = np.isfinite(ranges)
-    way = np.stack([np.cos(angle[hit]), np.sin(angle[hit])], axis=-1) * ranges[hit, None]
-    return np.stack([np.broadcast_to(origin, way.shape), origin + way], axis=1)
+    offset = np.stack([np.cos(angle[hit]), np.sin(angle[hit])], axis=-1) * ranges[hit, None]
+    return np.stack([np.broadcast_to(origin, offset.shape), origin + offset], axis=1)
 
 
 def trail_segments(positions: _Array) -> _Array:

@@ -34,7 +34,7 @@ MOST_BYTES = 8_000_000  # of text for the rays
 class Lidar:
     """The rays that a page shows."""
 
-    shepherds: list[int]  # S whose lidars they are
+    shepherds: list[int]  # S, one for each lidar
     ranges: _Ranges  # (T, S, C, R) m, +inf on free rays
     channels: tuple[str, ...]
 
@@ -90,7 +90,7 @@ def page_record(
     units: Mapping[str, str],
     ranges: ArrayLike | None = None,
 ) -> dict[str, Any]:
-    """Return what a page has to know, as plain data for JSON; notes say what was left out."""
+    """Return the content of a page, as plain data for JSON; notes name the parts left out."""
     if not (np.diff(track.times) > 0).all():
         late = int((np.diff(track.times) <= 0).argmax()) + 1
         raise ConfigError(
@@ -124,8 +124,8 @@ def page_record(
         'lidar': None,
     }
     if lidar is not None:
-        record['lidar'], told = rays(replace(lidar, ranges=lidar.ranges[steps]))
-        notes.append(told)
+        record['lidar'], note = rays(replace(lidar, ranges=lidar.ranges[steps]))
+        notes.append(note)
     return record | {'notes': notes}
 
 
@@ -156,15 +156,15 @@ def seen(track: EpisodeTrack, ranges: ArrayLike | None) -> Lidar | None:
     """Return the rays to show, all shepherds' or those of the track, or raise ConfigError."""
     steps, team = track.shepherds.shape[:2]
     if ranges is not None:
-        whose = list(range(team))
+        shepherds = list(range(team))
         values = np.asarray(ranges, dtype=np.float32)
     elif track.ranges is not None:
-        whose = [track.lidar_shepherd]
+        shepherds = [track.lidar_shepherd]
         values = track.ranges[:, None].astype(np.float32)
     else:
         return None
     count = len(track.channels)
-    if values.ndim != 4 or values.shape[:3] != (steps, len(whose), count) or not values.size:
+    if values.ndim != 4 or values.shape[:3] != (steps, len(shepherds), count) or not values.size:
         raise ConfigError(
             f'ranges has shape {values.shape}: expected ({steps}, {team}, {count}, any), not '
             'empty: times, shepherds, channels, rays'
@@ -175,11 +175,11 @@ def seen(track: EpisodeTrack, ranges: ArrayLike | None) -> Lidar | None:
             f'ranges has {wrong.sum()} numbers such as {values[wrong][0]}: expected metres of at '
             'least 0; put +inf on free rays'
         )
-    return Lidar(whose, values, track.channels)
+    return Lidar(shepherds, values, track.channels)
 
 
 def rays(lidar: Lidar) -> tuple[dict[str, Any], str]:
-    """Return the rays as plain data of at most MOST_BYTES, and what the page says of them."""
+    """Return the rays as plain data of at most MOST_BYTES, and a note on them."""
     n_rays = lidar.ranges.shape[-1]
     every = min(n_rays, math.ceil(lidar.ranges.size / MOST_RANGES))
     finite = lidar.ranges[np.isfinite(lidar.ranges)]
@@ -191,6 +191,6 @@ def rays(lidar: Lidar) -> tuple[dict[str, Any], str]:
             break
         every = min(n_rays, max(every + 1, math.ceil(every * size / MOST_BYTES)))
     shown = f'1 in {every} of the {n_rays}' if every > 1 else f'all {n_rays}'
-    told = f'Lidar: {shown} rays are shown, ranges are rounded to {step:g} m.'
+    note = f'Lidar: {shown} rays are shown, ranges are rounded to {step:g} m.'
     pitch = 2 * math.pi * every / n_rays
-    return data | {'of': lidar.shepherds, 'names': lidar.channels, 'pitch': pitch}, told
+    return data | {'of': lidar.shepherds, 'names': lidar.channels, 'pitch': pitch}, note

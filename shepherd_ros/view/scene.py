@@ -52,7 +52,7 @@ def sheep_size(n_sheep: int) -> float:
 
 
 def view_limits(*tracks: EpisodeTrack) -> tuple[float, float, float, float]:
-    """Return left, right, bottom and top [m] of a plane that holds everybody and the goal."""
+    """Return left, right, bottom and top [m] of a plane that holds all agents and the goal."""
     points = [
         points
         for t in tracks

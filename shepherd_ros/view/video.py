@@ -60,7 +60,7 @@ def ffmpeg_version() -> str:
     from imageio.plugins.ffmpeg import get_exe
 
     path = get_exe()
-    said = subprocess.run(
+    result = subprocess.run(
         [path, '-version'], capture_output=True, text=True, check=True, timeout=30
     )
-    return f'{said.stdout.split()[2]} at {path}'
+    return f'{result.stdout.split()[2]} at {path}'

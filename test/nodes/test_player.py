@@ -34,7 +34,7 @@ def playing(graph: Graph, folder: Path, **options: Any) -> Iterator[Player]:
         yield player
     finally:
         player.stopped.set()
-        player.woken.set()
+        player.wake.set()
         player.thread.join(5.0)
         player.destroy_node()
 
@@ -94,7 +94,7 @@ def test_the_clock_goes_on_between_messages_and_stands_in_a_pause(
             shared_graph.idle(0.1)
         assert all(0.09e9 < b - a < 5e9 for a, b in pairwise(seen))
         player.running.clear()
-        player.woken.set()
+        player.wake.set()
         shared_graph.until(lambda: player.paused, 'the pause')
         still = player.bag_time()
         shared_graph.idle(0.2)

@@ -640,9 +640,9 @@ def test_what_a_latched_publisher_dropped_before_the_first_that_is_heard_is_not_
     for topic in ('/drivers', '/poses'):
         losses.dropped(topic, 2)
         for number in (41, 42, 43):
-            losses.heard(topic, number)
+            losses.count_message(topic, number)
     assert losses.by_topic() == {'/poses': 2}
-    losses.heard('/drivers', 45)
+    losses.count_message('/drivers', 45)
     assert losses.by_topic()['/drivers'] == 1
     losses.dropped('/drivers', 40)
     assert losses.by_topic()['/drivers'] == 2

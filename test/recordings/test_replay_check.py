@@ -151,12 +151,17 @@ def test_differences_by_hand(tmp_path: Path) -> None:
     for t, frame in enumerate(episode.frames[:4]):
         second = [nothing, np.array([0.3, 0.4]), np.array([3.0, 4.0]), np.full(2, np.nan)][t]
         result.add(episode, frame, {0: nothing, 1: second})
-    assert (result.compared, result.equal, result.beyond, result.missing) == (8, 5, 2, 0)
-    assert (result.largest, result.total) == (np.inf, np.inf)
+    assert (result.compared, result.equal, result.n_beyond, result.missing) == (8, 5, 2, 0)
+    assert (result.max_difference, result.sum_of_differences) == (np.inf, np.inf)
     assert result.first.endswith('step 2, stamp 1.500000000 s, shepherd_1: (0, 0), now (3, 4) m/s')
     result = Comparison(tolerance=1.0)
     result.add(episode, episode.frames[0], {0: np.array([0.6, 0.8]), 1: nothing})
-    assert (result.ok, result.equal, result.largest, result.total) == (True, 1, 1.0, 1.0)
+    assert (result.ok, result.equal, result.max_difference, result.sum_of_differences) == (
+        True,
+        1,
+        1.0,
+        1.0,
+    )
     result.add(episode, episode.frames[1], {0: nothing})
     assert (result.ok, result.missing) == (False, 1)
     assert result.first_missing.endswith('shepherd_1: no command from the controller')

@@ -34,7 +34,7 @@ class FlockConfig(Config):
 
     @property
     def repulsion_range(self) -> float:
-        """Return the range of repulsion between sheep [m]; 1 if there is none."""
+        """Return the range of repulsion between sheep [m], 1 without repulsion."""
         return 1.0
 
 
