@@ -124,9 +124,8 @@ class PPOLearner:
         gradients are means over all samples of a minibatch, of all processes.
         """
         config, size = self.config, len(batch.value)
-        advantage = batch.advantage
-        target = advantage + batch.value
-        advantage = normalised(advantage)
+        target = batch.advantage + batch.value
+        advantage = normalised(batch.advantage)
         names, acting = ('actor_loss', 'critic_loss', 'kl', 'std'), actor
         scalars: dict[str, list[float]] = {name: [] for name in names}
         for _ in range(config.update_epochs):
