@@ -497,6 +497,138 @@ def pierson_controller(
 # --- random numbers -----------------------------------------------------------------------------
 
 
+def around_circle(angles: list[float]) -> list[tuple[float, float]]:
+    """Return bearings in [0, 2 pi) in order, each with the gap to the next one."""
+    turn = 2 * math.pi
+    row = sorted(angle % turn for angle in angles)
+    return [(a, b - a) for a, b in zip(row, [*row[1:], row[0] + turn], strict=True)]
+
+
+def between_neighbors(angles: list[float]) -> list[float]:
+    """Return for each bearing the middle between the next ones on both sides."""
+    turn, middles = 2 * math.pi, []
+    for h, angle in enumerate(angles):
+        others = [(other - angle) % turn for k, other in enumerate(angles) if k != h]
+        left, right = min(others, default=turn), min((turn - o for o in others), default=turn)
+        middles.append(angle + (left - right) / 2)
+    return middles
+
+
+def drover_circle(world: World, config: Any, *, restless: bool, notice: float, top: float) -> Any:
+    """Return middle, radius, bearing, spacing, whether along it, pace and whether evenly."""
+    n, m, size = len(world.sheep), len(world.shepherds), world.goal_radius
+    (gx, gy), center = world.goal, mean_point(world.sheep)
+    behind = bearing(center[0] - gx, center[1] - gy)
+    away = math.dist(center, world.goal)
+    edge = math.sqrt(2 * math.fsum(math.dist(s, center) ** 2 for s in world.sheep) / n)
+    inside = sum(math.dist(s, world.goal) <= size for s in world.sheep) / n
+    bearings = [bearing(x - gx, y - gy) for x, y in world.shepherds]
+    row = around_circle(bearings)
+    reach, least = (-0.15, 3) if restless else (0.45, 2)
+    ring = notice + (config.ring_reach or reach) * size
+    slow = 1.0 if restless else config.ring_speed
+
+    if restless and m < least and away < config.touch_distance * size:
+        hx, hy = mean_point(world.heading)
+        left = math.sin(bearing(hx, hy) - behind) >= 0
+        crossing = max(0.0, 1 - away / (0.75 * size)) * config.touch_angle
+        at = behind - crossing if left else behind + crossing
+        radius = edge + notice - config.touch_depth
+        return center, radius, at, config.touch_spacing, True, top, False
+
+    if m < least:
+        arc = 1.0
+    elif restless:
+        closed = max(gap for _, gap in row) < 4.0
+        arc = float(inside < (config.reopen_share if closed else config.close_share))
+    else:
+        arc = (away / size - config.open_until) / (config.open_from - config.open_until)
+        arc = min(max(arc, 0.0), 1.0)
+    part = 2 * math.pi / m
+    widest = max(range(m), key=lambda k: (row[k][1], -k))
+    middle = sum(a + 2 * math.pi * (k <= widest) for k, (a, _) in enumerate(row)) / m
+    turn = (middle - behind + part / 2) % part - part / 2
+    radius = arc * max(away + edge + config.standoff, notice) + (1 - arc) * ring
+    spacing = arc * config.spacing + (1 - arc) * part
+    at, pace = behind + (1 - arc) * turn, top * slow if arc < 1 else top
+
+    if not restless and m < least and inside >= config.lone_share:
+        own = bearings[0]
+        strays = [
+            bearing(x - gx, y - gy)
+            for x, y in world.sheep
+            if length(x - gx, y - gy) - size > config.stray_distance
+        ]
+        at = min(strays, key=lambda stray: abs(wrap(stray - own)), default=own)
+        return world.goal, ring, at, spacing, True, config.ring_speed * top, False
+    return world.goal, radius, at, spacing, arc < 1, pace, arc == 0
+
+
+def drover_detour(place: Point, target: Point, center: Point, clear: float) -> Point:
+    """Return the displacement toward a target, or along the flock where that is in between."""
+    (x, y), (tx, ty) = np.subtract(place, center), np.subtract(target, center)
+    d, turn = length(x, y), wrap(bearing(tx, ty) - bearing(x, y))
+    sx, sy = tx - x, ty - y
+    along = min(max(-(x * sx + y * sy) / max(length(sx, sy), 1e-6) ** 2, 0.0), 1.0)
+    nearest = length(x + along * sx, y + along * sy)
+    if not (nearest < min(clear, d) - 0.01 and abs(turn) > 0.2):
+        return sx, sy
+    at = bearing(x, y) + math.copysign(math.pi / 2, turn)
+    out = min(max(clear - d, 0.0), 1.0)
+    (ox, oy) = unit(x, y)
+    return 10 * (math.cos(at) + out * ox), 10 * (math.sin(at) + out * oy)
+
+
+def clipped(x: float, y: float, most: float) -> Point:
+    """Return a vector at most so long."""
+    size = length(x, y)
+    return (x * most / size, y * most / size) if size > most else (x, y)
+
+
+def drover_controller(
+    world: World, config: Any, *, restless: bool, notice: float, top: float
+) -> Array:
+    """Return the drover's commands (M, 2)."""
+    notice = config.notice_range or notice
+    middle, radius, at, spacing, along, pace, even = drover_circle(
+        world, config, restless=restless, notice=notice, top=top
+    )
+    m, center = len(world.shepherds), mean_point(world.sheep)
+    edge = math.sqrt(2 * sum(math.dist(s, center) ** 2 for s in world.sheep) / len(world.sheep))
+    own = [bearing(x - middle[0], y - middle[1]) for x, y in world.shepherds]
+    order = sorted(range(m), key=lambda h: (wrap(own[h] - at), h))
+    slots = shortest_shift(
+        [(k - (m - 1) / 2) * spacing for k in range(m)], [wrap(own[h] - at) for h in order]
+    )
+    place = dict(zip(order, [at + slot for slot in slots], strict=True))
+    if even:
+        place = dict(enumerate(between_neighbors(own)))
+    commands = np.zeros((m, 2))
+    for h, (x, y) in enumerate(world.shepherds):
+        if along:
+            d, step = math.dist((x, y), middle), pace / config.gain
+            new = d + min(max(radius - d, -step), step)
+            turn = min(max(wrap(place[h] - own[h]), -step / radius), step / radius)
+            bend = own[h] + (turn if new >= radius - min(radius / 2, 0.5) else 0.0)
+            way = middle[0] + new * math.cos(bend) - x, middle[1] + new * math.sin(bend) - y
+        else:
+            target = (
+                middle[0] + radius * math.cos(place[h]), middle[1] + radius * math.sin(place[h])
+            )  # fmt: skip
+            way = drover_detour((x, y), target, center, edge + config.standoff)
+        px = py = 0.0
+        for k, other in enumerate(world.shepherds):
+            if k != h and config.separation:
+                near = max(0.0, 1 - math.dist((x, y), other) / config.separation)
+                ux, uy = unit(x - other[0], y - other[1])
+                # 45 degrees to the left of straight away: both turn alike
+                px += 2 * near * (ux - uy) / math.sqrt(2)
+                py += 2 * near * (ux + uy) / math.sqrt(2)
+        vx, vy = clipped(way[0] * config.gain, way[1] * config.gain, top)
+        commands[h] = clipped(vx + px * top, vy + py * top, top)
+    return commands
+
+
 def splitmix_bits(seed: int, step: int, stream: int, index: int) -> int:
     """Return the 64 bits of a draw as a signed integer, with Python's unbounded integers."""
     mask, golden = (1 << 64) - 1, 0x9E3779B97F4A7C15

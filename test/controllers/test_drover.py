@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 import math
 from typing import Any
 
 import pytest
-from reference import state_of
+from reference import assert_near, drover_controller, make_state, padded, state_of, World
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.controllers.controller import Memory
+from shepherd_ros.controllers.drover import DroverConfig
 from shepherd_ros.controllers.formation import middle_of_ring, midway
 from shepherd_ros.sim.flocking.reynolds_flock import ReynoldsFlock
+from shepherd_ros.sim.flocking.strombom_flock import StrombomFlock
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import step
@@ -47,6 +50,38 @@ def settle(
         state = replace(state, shepherds=state.shepherds + command * world.dt)
         track.append(state.shepherds)
     return state.shepherds.squeeze(0), track
+
+
+def expected(state: WorldState, world: WorldConfig, **options: Any) -> Any:
+    """Return the commands (M, 2) of the slow reference."""
+    flock = world.flock
+    return drover_controller(
+        World.of(state), DroverConfig(**options), restless=flock.restless,
+        notice=flock.notice_range, top=world.shepherd_speed,
+    )  # fmt: skip
+
+
+OPTIONS: list[dict[str, Any]] = [
+    {}, {'standoff': 7.0, 'spacing': 0.4}, {'notice_range': 9.0, 'separation': 6.0, 'gain': 0.2},
+    {'ring_reach': -0.5, 'ring_speed': 0.6, 'separation': 0.0}, {'open_from': 6.0},
+    {'lone_share': 0.2, 'stray_distance': 0.1}, {'close_share': 0.3, 'reopen_share': 0.9},
+    {'touch_depth': 2.0, 'touch_angle': 0.5, 'touch_distance': 3.0, 'touch_spacing': 0.6},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize('options', OPTIONS, ids=str)
+@pytest.mark.parametrize('flock', [StrombomFlock(), ReynoldsFlock()], ids=['rests', 'restless'])
+def test_commands_are_those_of_the_reference(flock: Any, options: dict[str, Any]) -> None:
+    world = WorldConfig(flock=flock, shepherd_speed=1.5)
+    controller = make_controller('drover', world, **options)
+    for m, (seed, near), reach in product([1, 2, 5], enumerate((0.02, 0.1, 0.3, 1.0)), [6, 25]):
+        state = make_state(10 * seed + m, 12, m, spread=1.5 + seed, reach=reach)
+        # the flock at the goal, on its rim, near it, anywhere
+        shift = (1 - near) * (state.goal - state.center)
+        state = replace(state, sheep=state.sheep + shift, shepherds=state.shepherds + shift)
+        state = padded(state, sheep=2, shepherds=1)
+        command, _ = controller.act(state, controller.begin(state))
+        assert_near(command[:m], expected(state, world, **options), 1e-5)
 
 
 def test_one_shepherd_stands_behind_the_flock_as_far_as_it_is_noticed() -> None:
