@@ -26,13 +26,12 @@ from .session import alone, collected, forked, Item, Items, Loop, read_trace, tr
 
 ROOT = Path(__file__).resolve().parents[2]
 # room -> where tests are that run its code without processes of their own, and end soon
-LAWS = ('sim', 'controllers')
 EPISODES = 'recordings/test_episodes.py'
 TESTS = {
-    'sim': LAWS,
+    'sim': ('sim',),
     'wire': ('wire', 'test_generate.py', EPISODES, 'recordings/test_check.py'),
     'rosbag2': ('rosbag2', EPISODES, 'recordings/test_info_diff_export.py'),
-    'controllers': LAWS,
+    'controllers': ('controllers',),
 }
 HEAVY = (
     'hypothesis', 'jsonschema', 'matplotlib.pyplot', 'mcap.reader', 'numba', 'numpy', 'pyarrow',
@@ -102,15 +101,9 @@ class Run:
         """Trace the tests of the room, unless that is done; compiled forms as plain Python."""
         self.compiled = compiled
         self.folders = [f'test/{name}' for name in TESTS[room]]
-        name = list(TESTS.values()).index(TESTS[room])
-        path = out / f'{"compiled" if compiled else "plain"}_{list(TESTS)[name]}.json'
+        path = out / f'{room}_{"compiled" if compiled else "plain"}.json'
         if not path.exists():
-            files = [
-                path
-                for other, tests in TESTS.items()
-                for path in files_of(other)
-                if tests == TESTS[room] and ('_compiled' in path) == compiled
-            ]
+            files = [path for path in files_of(room) if ('_compiled' in path) == compiled]
             self.begin(partial(trace, files, self.folders, ROOT, path), 3600)
         self.holders = Holders(path, f'test/{room}/', budget)
 
