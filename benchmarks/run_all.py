@@ -21,6 +21,7 @@ RUNS = {
     'learning': ['--threads', '1'],
     'ring': ['--seconds', '6', '--steps', '1000'],
     'latency': ['--seconds', '20'],
+    'console': [],
     'startup': [],
     'bags': [],
 }

@@ -77,7 +77,7 @@ class DriverRequests:
         for raw in self.input.take()[-1:]:
             with suppress(CdrError, ConfigError):
                 self.drivers = Drivers.from_json(decode_string(raw))
-        self.say()
+                self.say()
 
     def say(self) -> None:
         """Tell pages who drives."""

@@ -23,6 +23,7 @@ from shepherd_ros.ros.node import OK, ShepherdNode
 from shepherd_ros.ros.runtime import run
 
 METRICS_PERIOD = 0.1  # [s] between two looks at metrics
+IDLE_PERIOD = 0.2  # [s] between two looks at states while no page is open
 REPORT_PERIOD = 1.0  # [s] between two looks at diagnostics, and for new topics
 HIGHEST_PORT = 65535
 
@@ -116,7 +117,7 @@ class ConsoleNode(ShepherdNode):
 
     def _look(self) -> None:
         """Show the newest state, and tell who drives."""
-        self._again(1 / self.frame_rate, self._look)
+        self._again(1 / self.frame_rate if self.desk.sessions else IDLE_PERIOD, self._look)
         episode = self.feed.episode
         self.mux.look()
         if self.feed.look():
@@ -144,6 +145,7 @@ class ConsoleNode(ShepherdNode):
         self.desk.tell('metric_names', metrics=self.reports.metric_names())
         self.desk.tell('diagnostics', reports=reports)
         self.world.look(reports)
+        self.mux.say()
 
     def look_for_topics(self) -> None:
         """Find metrics, sources of mux and shepherds that are new; in the executor's thread."""
