@@ -61,11 +61,11 @@ def main() -> int:
             check=False,
         )
         failed += done.returncode != 0
-        said = done.stdout if done.returncode == 0 else done.stderr
+        output = done.stdout if done.returncode == 0 else done.stderr
         command = ' '.join(['python', f'benchmarks/{name}.py', *words])
-        page += f'\n## {name}\n\n`{command}`, load {load:.1f} at its start\n\n{said.strip()}\n'
+        page += f'\n## {name}\n\n`{command}`, load {load:.1f} at its start\n\n{output.strip()}\n'
         (options.out / 'README.md').write_text(page, encoding='utf-8')
-        print(said)
+        print(output)
     print(options.out / 'README.md')
     return 1 if failed else 0
 

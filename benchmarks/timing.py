@@ -52,28 +52,28 @@ def rates(name: str, samples: int, seconds: Seconds, beside: Seconds | None) -> 
 
 @contextmanager
 def shares_of(
-    parts: Mapping[str, list[tuple[Any, str]]], told: dict[str, float]
+    parts: Mapping[str, list[tuple[Any, str]]], cpu_shares: dict[str, float]
 ) -> Iterator[None]:
     """Add up the CPU time of methods, given as (object, name), under the name of their part."""
 
     def timed(part: str, method: Callable[..., Any]) -> Callable[..., Any]:
         def call(*args: Any, **kwargs: Any) -> Any:
-            begun = time.process_time()
+            start = time.process_time()
             result = method(*args, **kwargs)
-            told[part] += time.process_time() - begun
+            cpu_shares[part] += time.process_time() - start
             return result
 
         return call
 
-    places = [(part, *place) for part, found in parts.items() for place in found]
+    places = [(part, *place) for part, methods in parts.items() for place in methods]
     for part, thing, name in places:
-        told[part] = 0.0
+        cpu_shares[part] = 0.0
         setattr(thing, name, timed(part, getattr(thing, name)))
-    begun = time.process_time()
+    start = time.process_time()
     yield
-    whole = time.process_time() - begun
+    elapsed = time.process_time() - start
     for _, thing, name in places:
         delattr(thing, name)
     for part in parts:
-        told[part] /= whole
-    told['rest'] = 1 - sum(told.values())
+        cpu_shares[part] /= elapsed
+    cpu_shares['rest'] = 1 - sum(cpu_shares.values())

@@ -24,8 +24,8 @@ def main(out: str, samples: int = 300_000, sheep: int = 10, shepherds: int = 1, 
     torch.set_num_threads(1)
     near = SpawnConfig(flock_distance_min=6.0, flock_distance_max=12.0)
     world = WorldConfig(sheep, shepherds, episode_steps=steps, goal_radius=5.0, spawn=near)
-    seen = ObservationConfig(layout='ring', align='goal', unit=10.0, spacing=hold)
-    config = EnvConfig(world=world, lidar=LidarConfig(rays), observation=seen)
+    observation = ObservationConfig(layout='ring', align='goal', unit=10.0, spacing=hold)
+    config = EnvConfig(world=world, lidar=LidarConfig(rays), observation=observation)
     env = VecNormalize(VecMonitor(HerdingVecEnv(config, worlds, hold)), norm_obs=False, gamma=0.96)
     model = PPO('MlpPolicy', env, 5e-4, n_steps=steps // hold, batch_size=400, n_epochs=6,
                 gamma=0.96, policy_kwargs={'features_extractor_class': LidarFeatures},

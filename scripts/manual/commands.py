@@ -72,10 +72,10 @@ def _row(lines: list[str]) -> list[str]:
     name, _, meaning = first.partition('  ')
     text = ' '.join([meaning, *rest])
     text = ' '.join(text.split())
-    found = re.search(r' ?\((?:default: ?([^()]*(?:\([^()]*\))?[^()]*)|(required))\)$', text)
-    default = '' if found is None else (found[2] or found[1])
+    match = re.search(r' ?\((?:default: ?([^()]*(?:\([^()]*\))?[^()]*)|(required))\)$', text)
+    default = '' if match is None else (match[2] or match[1])
     shown = default if default == 'required' else code(default.replace("''", ''))
-    return [code(name), shown, escaped(text[: found.start()] if found else text)]
+    return [code(name), shown, escaped(text[: match.start()] if match else text)]
 
 
 def parsed(text: str) -> Help:
@@ -108,12 +108,12 @@ def parsed(text: str) -> Help:
 def training(name: str) -> Help:
     """Return the help of a training, with the options of its policy."""
     recipe = DEFAULT_RECIPES[name]
-    found = Help(usage(name), TRAININGS[name])
+    page_help = Help(usage(name), TRAININGS[name])
     if name == 'bc':
-        found.groups['Arguments'] = [[code('BAG'), code('required'), escaped(BAGS)]]
+        page_help.groups['Arguments'] = [[code('BAG'), code('required'), escaped(BAGS)]]
     for title, rows in (*option_groups(recipe.run), *policy_groups(recipe.policy)):
-        found.groups[title] = [[code(r.name), code(r.default), escaped(r.text)] for r in rows]
-    return found
+        page_help.groups[title] = [[code(r.name), code(r.default), escaped(r.text)] for r in rows]
+    return page_help
 
 
 def verbs(words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Help]]:
@@ -121,19 +121,19 @@ def verbs(words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Help]]
     if words[:1] == ('train',) and len(words) == 2:
         yield words, training(words[1])
         return
-    found = parsed(help_text(main, list(words)))
-    if words == ('train',) and not found.subcommands:
+    verb_help = parsed(help_text(main, list(words)))
+    if words == ('train',) and not verb_help.subcommands:
         raise ValueError('shepherd train --help names no subcommands')
-    yield words, found
-    for name in found.subcommands:
+    yield words, verb_help
+    for name in verb_help.subcommands:
         yield from verbs((*words, name))
 
 
-def _section(name: str, found: Help, level: int) -> str:
+def _section(name: str, command_help: Help, level: int) -> str:
     """Return the section of a command."""
-    parts = [f'{"#" * level} {name}', found.about, f'```text\n{found.usage}\n```']
-    rows = [row for title in COMMON for row in found.groups.get(title, [])]
-    groups = {title: more for title, more in found.groups.items() if title not in COMMON}
+    parts = [f'{"#" * level} {name}', command_help.about, f'```text\n{command_help.usage}\n```']
+    rows = [row for title in COMMON for row in command_help.groups.get(title, [])]
+    groups = {title: more for title, more in command_help.groups.items() if title not in COMMON}
     for title, more in {'': rows, **groups}.items():
         parts.append(f'**{title.removesuffix(" options")}**' if title else '')
         parts.append(table(('argument', 'default', 'meaning'), more) if more else '')

@@ -69,10 +69,10 @@ def errors() -> str:
     for room, title in ROOMS.items():
         place = SOURCE / room
         files = [place] if place.is_file() else sorted(place.rglob('*.py'))
-        found = dict.fromkeys(text for file in files for text in messages(file))
-        if found:
+        texts = dict.fromkeys(text for file in files for text in messages(file))
+        if texts:
             parts.append(f'## {title}')
-            parts.append('\n'.join(f'- ``{text}``' for text in found))
+            parts.append('\n'.join(f'- ``{text}``' for text in texts))
     intro = (
         'Every message names the value, what is expected, and what to do. `{name}` stands for a '
         'value. Symptoms and their causes are in [](../troubleshooting.md).'
