@@ -20,7 +20,7 @@ from shepherd_ros.sim.flocking.strombom_flock import StrombomFlock
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.limits import MAX_SHEEP, MAX_SHEPHERDS
 from shepherd_ros.sim.observation import ObservationConfig
-from shepherd_ros.sim.presets import PRESETS, training_world, world_preset
+from shepherd_ros.sim.presets import home_world, PRESETS, training_world, world_preset
 from shepherd_ros.sim.reward import RewardConfig
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import SpawnConfig, WorldConfig
@@ -303,6 +303,36 @@ def test_the_presets_of_the_design_are_there() -> None:
         assert (world.dt, world.flock.sheep_range) == (dt, sheep_range)
     assert world_preset('rho_a_one').flock.sheep_repulsion == 1.0
     assert world_preset('metric_attraction').flock.metric_attraction
+    assert world_preset('metric_attraction').flock.sheep_range == 10.0
+    assert [world_preset(name).dt for name in ('rho_a_one', 'metric_attraction')] == [0.5, 0.5]
+
+
+def test_the_presets_with_heuristics_of_their_own_have_their_numbers() -> None:
+    paper, third = PRESETS['paper'], PRESETS['third']
+    assert (paper.dt, third.dt) == (0.5, 0.2)
+    assert paper.flock == {
+        'strombom': {'normalize_shepherds': True}, 'reynolds': {'max_acceleration': 1.0},
+    }  # fmt: skip
+    assert paper.controllers == {
+        'strombom': {'interaction_range': 2.0, 'arc_margin': 10.0, 'stop_range': 5.0,
+                     'wing_spacing': 0.2},
+        'pierson': {'lead': 1.0, 'gain': 0.2, 'min_radius': 2.0, 'spread_factor': 5.0,
+                    'tracking_gain': 1.0},
+    }  # fmt: skip
+    # all lengths of Strömbom's model are three times as long
+    assert third.flock == {'strombom': {'sheep_range': 2 / 3, 'normalize_shepherds': True}}
+    assert third.controllers == {
+        'strombom': {'position_law': 'elfiqi', 'standoff': 6.0, 'arc': 'rms', 'arc_margin': 7.0,
+                     'stop_distance': 6.0},
+        'pierson': {'pace': 'constant', 'weakest_push': 0.4, 'min_radius': 8.0},
+    }  # fmt: skip
+
+
+def test_a_start_at_home_is_that_of_the_design() -> None:
+    start = home_world(WorldConfig()).spawn
+    assert (start.flock_distance_min, start.flock_distance_max) == (0.0, 2.0)
+    assert (start.shepherd_distance_min, start.shepherd_distance_max) == (8.0, 30.0)
+    assert (start.shepherds_around, start.position_std) == (True, 3.0)
 
 
 def test_the_default_world_is_that_of_the_paper() -> None:

@@ -24,6 +24,7 @@ from shepherd_ros.sim.metrics import (
     metrics,
     MetricsTally,
     PAPER_METRICS,
+    shown,
     start_tally,
 )
 from shepherd_ros.sim.reward import reward_terms, RewardConfig
@@ -189,6 +190,24 @@ def test_a_center_exactly_on_the_rim_is_in_the_goal() -> None:
     assert got['completed'] == 1
     assert got['fraction_reached'] == 1
     assert got['fraction_in_goal'] == 1
+
+
+def test_each_place_shows_its_metrics_in_their_order() -> None:
+    home = ['completion_time', 'shepherd_path_length', 'flock_path_length', 'flock_spread']
+    expected = {
+        'summary': [*home, 'fraction_reached', 'fraction_in_goal', 'shepherd_path_to_completion'],
+        'eval': ['completed', 'completion_time', 'fraction_reached', 'fraction_in_goal',
+                 'shepherd_path_length', 'flock_spread'],
+        'progress': ['fraction_reached', 'fraction_in_goal'],
+        'bag': [*home, 'fraction_reached', 'fraction_in_goal'],
+        'page': ['fraction_in_goal', 'goal_distance', 'flock_spread'],
+    }  # fmt: skip
+    for place, names in expected.items():
+        metrics_there = shown(place)
+        assert [metric.name for metric in metrics_there] == names, place
+        order = [metric.shown[place] for metric in metrics_there]
+        assert order == [*range(order[0], order[0] + len(names))]  # without gaps or draws
+    assert {m.name for m in METRICS.values() if m.instant} == {'fraction_in_goal', 'goal_distance'}
 
 
 def test_the_metrics_of_the_paper_come_first() -> None:
