@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import partial
 import math
 
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.subscription import Subscription
 from shepherd_ros.nodes.command_mux import Velocity
 from shepherd_ros.nodes.mux_parameters import MuxOptions
@@ -37,6 +38,7 @@ class MuxSources:
         self.node, self.options, self.on_command = node, options, on_command
         self.answering = {source.name for source in options.sources if source.answers}
         self.inputs: dict[tuple[str, int | None], tuple[str, Subscription]] = {}
+        self.closing: dict[tuple[str, int | None], str] = {}  # next types of topics in use
 
     def begin(self, n_shepherds: int) -> None:
         """Subscribe to what commands the shepherds of an episode."""
@@ -47,7 +49,8 @@ class MuxSources:
         }
         for key in [key for key in self.inputs if key not in wanted]:
             self.node.destroy_subscription(self.inputs.pop(key)[1])
-        for key in sorted(wanted - self.inputs.keys(), key=str):
+        self.closing = {key: kind for key, kind in self.closing.items() if key in wanted}
+        for key in sorted(wanted - self.inputs.keys() - self.closing.keys(), key=str):
             self._subscribe(key, self._offered(key)[0])
 
     def topic(self, key: tuple[str, int | None]) -> str:
@@ -56,11 +59,14 @@ class MuxSources:
 
     def match(self) -> None:
         """Take the type of those who publish, where that is another one now."""
+        for key, kind in list(self.closing.items()):
+            self._subscribe(key, kind)
         for key, (kind, subscription) in list(self.inputs.items()):
             offered = self._offered(key)
-            if kind not in offered:
+            if kind not in offered:  # DDS frees the topic when the executor has let go of it
                 self.node.destroy_subscription(subscription)
-                self._subscribe(key, offered[0])
+                del self.inputs[key]
+                self.closing[key] = offered[0]
             elif len(offered) > 1:
                 self.node.get_logger().warning(
                     f'{self.topic(key)} has the types {", ".join(offered)}: expected one, {kind} '
@@ -77,11 +83,21 @@ class MuxSources:
         ]
 
     def _subscribe(self, key: tuple[str, int | None], kind: str) -> None:
-        receiver = partial(self._receive, *key)
-        subscription = self.node.listen(
-            COMMANDS, receiver, kind=kind, decode=KINDS[kind], name=self.topic(key)
-        )
-        self.inputs[key] = kind, subscription
+        receiver, topic = partial(self._receive, *key), self.topic(key)
+        self.closing[key] = kind
+        try:
+            subscription = self.node.listen(
+                COMMANDS, receiver, kind=kind, decode=KINDS[kind], name=topic
+            )
+        except _rclpy.RCLError as error:
+            self.node.get_logger().warning(
+                f'{topic} cannot be heard as {kind} ({error}): tried again; a process has one '
+                'type for each topic',
+                throttle_duration_sec=WARNING_PERIOD,
+            )
+        else:
+            del self.closing[key]
+            self.inputs[key] = kind, subscription
 
     def _receive(self, name: str, shepherd: int | None, motion: Motion) -> None:
         velocity = motion.x, motion.y, motion.turn

@@ -11,9 +11,11 @@ from manual_blocks import blocks, DOCS, README, ROOT, WRITTEN
 import pytest
 from shepherd_ros.controllers import CONTROLLERS
 from shepherd_ros.nodes.executables import FILES
+from shepherd_ros.wire.contract import known
 import yaml
 
 PAGES = [path for path in WRITTEN if path != ROOT / 'CONTRIBUTING.md']
+OF_OTHERS = ('joy', 'teleop_twist_joy', 'teleop_twist_keyboard')  # packages of ROS 2
 SETUP = (ROOT / 'setup.py').read_text(encoding='utf-8')
 LINES = sorted(
     {(path.name, line) for path in WRITTEN for b in blocks(path) if b.kind == 'bash'
@@ -89,18 +91,24 @@ def test_shepherd_knows_verb_and_options(name: str, line: str) -> None:
 @pytest.mark.parametrize('name, line', starting('ros2 run'))
 def test_every_executable_and_parameter_exists(name: str, line: str) -> None:
     words = shlex.split(line, comments=True)
+    if words[2] in OF_OTHERS:
+        remapped = {word.partition(':=')[2] for word in words if ':=' in word}
+        assert all(known(f'/{topic}') for topic in remapped)
+        return
     assert words[2] == 'shepherd_ros'
     node = words[3]
     assert node in CONTROLLERS or node in FILES
     if node in ('recorder', 'player', 'herd'):
-        known = section('commands.md', node)
-        assert all(w in known for w in words[4:] if w.startswith('-'))
+        listed = section('commands.md', node)
+        assert all(w in listed for w in words[4:] if w.startswith('-'))
         return
-    known = section('parameters.md', node)
+    listed = section('parameters.md', node)
     for before, word in pairwise(words):
         parameter = word.partition(':=')[0]
         own = parameter.startswith('shy.') or node == 'controller'  # of the tutorials
-        assert before != '-p' or own or f'`{parameter}`' in known
+        example = re.sub(r'^topics\.\w+', 'topics.keys', parameter)  # of any source of mux
+        own |= bool(re.fullmatch(r'locks\.\w+\.(topic|priority|timeout)', parameter))
+        assert before != '-p' or own or f'`{example}`' in listed
 
 
 @pytest.mark.parametrize('name, line', starting('ros2 launch'))
@@ -116,7 +124,12 @@ def test_every_launch_file_and_argument_exists(name: str, line: str) -> None:
 @pytest.mark.parametrize('name, line', starting('ros2 service call'))
 def test_every_service_exists(name: str, line: str) -> None:
     words = shlex.split(line)
-    assert f'| `{words[3]}` | `{words[4]}` |' in (DOCS / 'reference/services.md').read_text()
+    text = (DOCS / 'reference/services.md').read_text()
+    rows = re.findall(r'^\| `(.*?)` \| `(.*?)` \|', text, re.MULTILINE)
+    patterns = {
+        re.sub(r'\\{\w+\\}', r'\\w+', re.escape(name)): kind for name, kind in rows
+    }  # {source} and {h} stand for words
+    assert words[4] in [k for pattern, k in patterns.items() if re.fullmatch(pattern, words[3])]
 
 
 @pytest.mark.parametrize('name, line', starting('make'))

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from functools import partial
 from itertools import pairwise
 import json
+from pathlib import Path
 from threading import Thread
 import time
 from typing import Any
@@ -269,8 +270,9 @@ def test_locked_or_silent_zero_is_published_at_once(graph: Graph) -> None:
 
 def test_two_sources_work_together_and_a_source_may_send_twist(graph: Graph) -> None:
     graph.host('flock_sim', **SLOW)
-    graph.host('mux')
     told = drivers(graph)
+    mux = graph.start('mux')
+    until_driven(graph, told, None, None)
     other = Context()  # a process has one type for each topic
     rclpy.init(args=[], context=other, domain_id=graph.domain)
     teleop = Node('teleop_twist_keyboard', context=other)
@@ -295,6 +297,7 @@ def test_two_sources_work_together_and_a_source_may_send_twist(graph: Graph) -> 
         teleop.destroy_node()
         other.try_shutdown()
     until_driven(graph, told, None, None)
+    assert mux.stop() == 0, mux
 
 
 def test_a_key_that_turns_a_shepherd_turns_where_forward_is(graph: Graph) -> None:
@@ -338,11 +341,20 @@ def test_parameters_that_cannot_be_are_refused_by_name(
         shared_graph.host('mux', **parameters)
 
 
-def test_a_user_of_twist_mux_brings_topics_of_any_name(graph: Graph) -> None:
+FILE = """
+/**/mux:
+  ros__parameters:
+    topics:
+      navigation: {topic: nav_vel, timeout: 0.5, priority: 20}
+    locks:
+      pause: {topic: pause_navigation, timeout: 0.0, priority: 95}
+"""
+
+
+def test_a_user_of_twist_mux_brings_topics_of_any_name(graph: Graph, tmp_path: Path) -> None:
     graph.host('flock_sim', **SLOW)
-    room = 'topics.navigation'
-    parameters = {f'{room}.topic': 'nav_vel', f'{room}.timeout': 0.5, f'{room}.priority': 20}
-    graph.host('mux', **parameters)
+    (tmp_path / 'mux.yaml').write_text(FILE)
+    graph.host('mux', '--params-file', str(tmp_path / 'mux.yaml'))
     told = drivers(graph)
     nav = graph.publisher('nav_vel', TwistStamped)
 
@@ -351,3 +363,6 @@ def test_a_user_of_twist_mux_brings_topics_of_any_name(graph: Graph) -> None:
         return bool(told) and told[-1].drivers == ('navigation', 'navigation')
 
     graph.until(go, 'one topic drives all shepherds')
+    pause = graph.publisher('pause_navigation', Bool)
+    pause.publish(Bool(data=True))
+    until_driven(graph, told, None, None)
