@@ -295,7 +295,7 @@ def test_vectors_by_hand() -> None:
     assert_near(wrap(half_turns), [-math.pi, -math.pi], 1e-12)
     short = torch.tensor([[1e-6, 0.0], [0.0, 0.99e-6]], dtype=double)  # the second is none
     assert_near(unit(short), [[1.0, 0.0], [0.0, 0.0]], 1e-12)
-    long = torch.full((2,), 3e38)  # its square is no float32
+    long = torch.full((2,), 2e38)  # its square is no float32
     assert_near(clip_norm(long, 1.0), [0.5**0.5, 0.5**0.5], 1e-6)
     mask = torch.tensor([True, False, True])
     assert_near(masked_mean(vectors, mask), [1.5, 1.0], 1e-12)
