@@ -68,7 +68,7 @@ def publish(topic: str, count: int, rate: float) -> None:
 def recorder(folder: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
     """Give a recorder that runs."""
     process = subprocess.Popen(
-        [executable('recorder'), '-o', str(folder), *words],
+        [executable('recorder'), '-v', '-o', str(folder), *words],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
     )  # fmt: skip
     try:

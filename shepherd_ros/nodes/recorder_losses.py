@@ -155,3 +155,23 @@ class Losses:
             * bool(self.repeats[name])
             for name in self.by_topic()
         ]
+
+    def summary(self, verbose: bool) -> list[str]:
+        """Return a line for all losses and one for all that came too early; verbose: by topic."""
+        early = self.earlier()
+        told = [f'{name}: {count}' for name, count in early.items()]
+        return [
+            *_told('lost', self.by_topic(), self.report(), verbose),
+            *_told('sent before the first that was heard', early, told, verbose),
+        ]
+
+
+def _told(what: str, counts: Counter[str], lines: list[str], verbose: bool) -> list[str]:
+    """Return the lines of topics, or one for all of them where there are several."""
+    if verbose or len(lines) < 2:
+        return [f'{what}: {line}' for line in lines]
+    ((name, most),) = counts.most_common(1)
+    return [
+        f'{what}: {counts.total()} messages of {len(counts)} topics, {most} of them of {name}; '
+        '--verbose lists them'
+    ]

@@ -65,7 +65,9 @@ class Recorder(ShepherdNode):
         self.waiting: list[Row] = []  # what came before the simulated clock
         self.last_report = (self.wall(), 0)  # when and how many messages at the last report
         wait = EPISODE_WAIT if options.per_episode else 0.0
-        self.subscribed = RecorderSubscriptions(self, self._subscribes_to, self._refuse, wait)
+        self.subscribed = RecorderSubscriptions(
+            self, self._subscribes_to, self._refuse, wait, options.verbose
+        )
         self.losses = self.subscribed.losses
         self.bags = RecorderBags(self.folder, options, self.subscribed, self.wanted)
         self.create_service(Trigger, '~/start', self._server(True))
@@ -154,6 +156,7 @@ class Recorder(ShepherdNode):
         """Flush the messages so far to the disk, with the counts of losses."""
         self.poll_messages()
         self.subscribed.group.open = True  # until the next poll_messages()
+        self.subscribed.tell()
         if not self.failure:
             try:
                 self.bags.flush()
@@ -197,12 +200,10 @@ class Recorder(ShepherdNode):
             )
         if self.failure:
             self._diagnostics.wait_for_all_acked(Duration(seconds=RECORDER_ACK_TIMEOUT))
-        lost = self.losses.report()
+        lost = self.losses.by_topic()
         print(f'{self.bags.written} messages of {len(self.bags.topics)} topics in {self.folder}')
-        for line in lost:
-            print(f'lost: {line}')
-        for name, count in self.losses.earlier().items():
-            print(f'sent before the first that was heard: {name}: {count}')
+        for line in self.losses.summary(self.options.verbose):
+            print(line)
         if self.failure:
             print(f'failed: {self.failure}')
         whole = not lost and not self.failure

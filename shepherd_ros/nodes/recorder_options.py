@@ -51,6 +51,8 @@ class RecorderOptions:
     """Record nothing before ~/start is called."""
     use_sim_time: bool = False
     """Log times are those of /clock."""
+    verbose: Annotated[bool, tyro.conf.arg(aliases=['-v'])] = False
+    """Name every topic when it is found, and in the end every topic with losses."""
 
     def check(self) -> None:
         """Raise ConfigError for numbers out of range and invalid names."""

@@ -50,12 +50,15 @@ class RecorderSubscriptions:
         wanted: Callable[[str], bool],
         refuse: Callable[[str], None],
         wait: float = 0.0,
+        verbose: bool = False,
     ) -> None:
         """
         Listen to the contract in the node's namespace; refuse(why) is told what cannot be.
 
         With wait [s] messages are in the order in which they were sent, if none is later than so.
+        verbose: each topic is named when it is found.
         """
+        self.verbose, self.told = verbose, 0  # topics, when tell() said how many
         self.node, self.wanted, self.refuse = node, wanted, refuse
         self.inputs: dict[str, RecordedTopic] = {}
         self.refused: dict[str, str] = {}
@@ -102,6 +105,13 @@ class RecorderSubscriptions:
                     except (AttributeError, ImportError):
                         continue  # look() refuses it once somebody publishes it
 
+    def tell(self) -> None:
+        """Say how many topics are recorded, if there are more than when it was last said."""
+        offered = sum(bool(topic.offers) for topic in self.inputs.values())
+        if offered > self.told:
+            self.told = offered
+            self.node.get_logger().info(f'recording {offered} topics')
+
     def look(self) -> None:
         """Subscribe to new topics, with the quality of service of their publishers."""
         for name, _ in self.node.get_topic_names_and_types():
@@ -136,7 +146,8 @@ class RecorderSubscriptions:
                 self._refuse(name, f'{kinds[0]} is missing ({error}): install it or --exclude')
                 return
         if not recorded.offers:
-            self.node.get_logger().info(f'recording {name} ({recorded.kind})')
+            if self.verbose:
+                self.node.get_logger().info(f'recording {name} ({recorded.kind})')
             entry = known(name)
             if entry is not None:
                 self.expect(entry.namespace)

@@ -115,6 +115,41 @@ def test_no_clock_is_told(
     assert 'the bag is NOT whole' in said
 
 
+@pytest.mark.parametrize('verbose', [False, True])
+def test_the_end_is_five_lines_and_names_every_topic_if_asked(
+    verbose: bool, graph: Graph, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    topics = ('/a', '/b', '/c')
+    with recording(graph, tmp_path / 'bag', topics=topics, verbose=verbose) as recorder:
+        for k, name in enumerate(topics, start=1):
+            for number in (5, 6 + k):  # 4 came too early, k between the two are lost
+                info = {'publication_sequence_number': number}
+                info |= {'received_timestamp': number, 'source_timestamp': number}
+                heard_once(graph, recorder, name)
+                recorder.receive(name, cdr(make('Float64', data=1.0)), info)
+        assert recorder.end() == 1
+    first, *lines, last = capsys.readouterr().out.splitlines()
+    assert first == f'6 messages of 3 topics in {tmp_path / "bag"}'
+    assert last == 'the bag is NOT whole'
+    early = 'sent before the first that was heard'
+    if verbose:
+        rows = [f'lost: /{n}: {k} missing in the numbering' for k, n in enumerate('abc', start=1)]
+        assert [line.partition(',')[0] for line in lines[:3]] == rows
+        assert lines[3:] == [f'{early}: /{name}: 4' for name in 'abc']
+    else:
+        most = 'of 3 topics, {} of them of {}; --verbose lists them'
+        assert lines == [
+            'lost: 6 messages ' + most.format(3, '/c'),
+            f'{early}: 12 messages ' + most.format(4, '/a'),
+        ]
+
+
+def heard_once(graph: Graph, recorder: Recorder, topic: str) -> None:
+    """Let the recorder find a topic."""
+    if topic not in recorder.subscribed.inputs:
+        heard_publisher(graph, recorder, topic, Float64)
+
+
 def test_what_is_offered_is_recorded_and_shown(graph: Graph, tmp_path: Path) -> None:
     offered = QoSProfile(
         depth=3, deadline=Duration(seconds=0.5), lifespan=Duration(seconds=9),

@@ -77,7 +77,7 @@ WHOLE = 'the bag is whole'
 
 def start_recorder(graph: Graph, folder: Path, *words: str) -> Process:
     """Start a recorder and wait until it listens."""
-    recorder = graph.start_words('recorder', ['-o', str(folder), *words])
+    recorder = graph.start_words('recorder', ['-v', '-o', str(folder), *words])
     graph.until_says(recorder, 'listening')
     return recorder
 

@@ -43,7 +43,7 @@ Said = tuple[int, str, str]
 def record_run(graph: Graph, folder: Path, controller: str, episodes: int = 1) -> Path:
     """Record a whole run in lockstep, every topic that two runs of a seed have alike."""
     words = ['-o', str(folder), '-x', 'markers|/diagnostics|/tf']
-    recorder = graph.start_words('recorder', words)
+    recorder = graph.start_words('recorder', ['-v', *words])
     graph.until_nodes('recorder')
     sim = graph.start(
         'flock_sim', seed=SEED, episodes=episodes, wait_for_scans=True, silence_warning=60.0,
