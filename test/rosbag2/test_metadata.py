@@ -13,7 +13,7 @@ from shepherd_ros.recordings.recording_writer import offered_qos
 from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.metadata import FileInfo, Metadata, TopicInfo
 from shepherd_ros.rosbag2.qos import (
-    agreed,
+    agreed_policy,
     dump_yaml,
     duration_ns,
     history,
@@ -194,9 +194,13 @@ def test_a_late_reader_gets_what_all_latched_publishers_keep() -> None:
 
 def test_publishers_that_disagree_offer_the_default() -> None:
     one, other = Qos('best_effort', depth=3), Qos('reliable', depth=3)
-    assert agreed((one, one), 'reliability') == 'best_effort'
-    assert agreed((one, other), 'depth') == 3
-    assert agreed((one, other), 'reliability') == agreed((), 'reliability') == 'reliable'
+    assert agreed_policy((one, one), 'reliability') == 'best_effort'
+    assert agreed_policy((one, other), 'depth') == 3
+    assert (
+        agreed_policy((one, other), 'reliability')
+        == agreed_policy((), 'reliability')
+        == 'reliable'
+    )
 
 
 def test_yaml_is_read_up_to_thirty_levels_and_sixteen_mebibytes() -> None:
