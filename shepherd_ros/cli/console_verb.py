@@ -15,7 +15,7 @@ from shepherd_ros.bringup import stack_in, with_console
 from shepherd_ros.cli.processes import isolate, Running, running
 from shepherd_ros.experiments.setting_arguments import OneSetting
 
-LOOK_PERIOD = 0.2  # [s] between two looks at processes
+_LOOK_PERIOD = 0.2  # [s] between two looks at processes
 
 
 @dataclass(kw_only=True)
@@ -69,7 +69,7 @@ class LiveConsole(OneSetting):
                     told = True
                     domain = os.environ['ROS_DOMAIN_ID']
                     print(f'open {found[1]} (ROS_DOMAIN_ID={domain}; Ctrl-C ends it)', flush=True)
-            time.sleep(LOOK_PERIOD)
+            time.sleep(_LOOK_PERIOD)
 
 
 def _interrupt(number: int, frame: Any) -> None:

@@ -448,3 +448,21 @@ def test_values_of_places_while_they_are_wanted(
     ask(shared_graph, page, 'value_map', on=False)
     shared_graph.until(lambda: page.last('value_map')['on'] is False, 'none')
     assert not console.values.job
+
+
+# --- everything ---------------------------------------------------------------------------------
+
+
+def test_one_command_starts_everything_and_ends_it(graph: Graph, tmp_path: Path) -> None:
+    words = '--controller idle --standby strombom --sheep 8 --shepherds 2 --port 0 --record-dir'
+    process = graph.start_words('shepherd', ['console', *words.split(), str(tmp_path)])
+    opened = TestPage(graph.until_says(process, r'open (http\S+)')[1])
+    graph.until(
+        lambda: opened.frames and opened.last('drivers').get('drivers') == ['idle', 'idle'],
+        'the page shows it',
+    )
+    ask(graph, opened, 'driver', shepherd=1, source='strombom')
+    graph.until(lambda: opened.last('drivers')['drivers'][1] == 'strombom', 'another drives')
+    opened.close()
+    assert process.stop() == 0
+    graph.until(lambda: graph.node.get_node_names() == ['probe'], 'all have ended')
