@@ -550,7 +550,7 @@ def drover_circle(world: World, config: Any, *, restless: bool, notice: float, t
     turn = (middle - behind + part / 2) % part - part / 2
     radius = arc * max(away + edge + config.standoff, notice) + (1 - arc) * ring
     spacing = arc * config.spacing + (1 - arc) * part
-    at, pace = behind + (1 - arc) * turn, top * slow if arc < 1 else top
+    at, pace = behind + (1 - arc) * turn, top * slow  # along the circle only
 
     if not restless and m < least and inside >= config.lone_share:
         own = bearings[0]

@@ -186,7 +186,7 @@ class DroverController(Controller):
             middle=behind + (1 - arc) * turn,
             spacing=arc * config.spacing + (1 - arc) * angle_each,
             along=arc < 1,
-            pace=self.world.shepherd_speed * torch.where(arc < 1, self.pace, 1.0),
+            pace=torch.full_like(arc, self.pace) * self.world.shepherd_speed,
             even=arc == 0,
         )
 
