@@ -168,6 +168,15 @@ def test_a_lone_shepherd_faces_strays_when_enough_are_inside(inside: int, home: 
     assert place.tolist() == pytest.approx([0.0, NOTICE + 0.45 * 4 * home], abs=0.1)
 
 
+def test_a_lone_shepherd_sets_out_to_the_stray_nearer_in_bearing() -> None:
+    world = WorldConfig(n_sheep=10, n_shepherds=1)
+    for y in (13.0, -13.0):  # 57 and 123 degrees from the strays at 90 and -90
+        home = scene([(0.0, 0.0)] * 8 + [(0.0, 6.0), (0.0, -5.0)], [(20.0, y)])
+        _, (here, there) = settle(home, 1, world)
+        turn = torch.linalg.det(torch.stack([here[0], there[0]]))  # > 0: counter-clockwise
+        assert float(turn) * y > 0
+
+
 def test_a_lone_shepherd_turns_to_the_stray_beside_it() -> None:
     world = WorldConfig(n_sheep=10, n_shepherds=1)
     edge = NOTICE + 0.45 * 4

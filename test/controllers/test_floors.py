@@ -9,7 +9,8 @@ import pytest
 from reference import assert_near, batch, make_state, padded
 from shepherd_ros.controllers import CONTROLLERS, make_controller
 from shepherd_ros.controllers.controller import Controller, places_on_arc
-from shepherd_ros.sim.rng import direction, Stream
+from shepherd_ros.controllers.policy_controller import sample_noise
+from shepherd_ros.sim.rng import direction, normal, Stream
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import step
 from shepherd_ros.sim.world import WorldConfig
@@ -72,6 +73,17 @@ def test_a_random_shepherd_does_not_look() -> None:
     state = make_state(1, 5, 3)
     elsewhere = replace(make_state(2, 5, 3), seed=state.seed, step=state.step)
     assert torch.equal(random_command(state), random_command(elsewhere))
+
+
+# --- sampled actions ----------------------------------------------------------------------------
+
+
+def test_a_sampled_action_has_two_draws_for_each_shepherd_whatever_the_team() -> None:
+    seed, at = torch.tensor([5, -6]), torch.tensor([1, 9])
+    drawn = normal(seed, at, Stream.ACTION, torch.arange(8))
+    for team in (1, 2, 3, 4):
+        expected = drawn[:, : 2 * team].reshape(2, team, 2)
+        assert torch.equal(sample_noise(seed, at, team), expected)
 
 
 # --- what all controllers share -----------------------------------------------------------------
