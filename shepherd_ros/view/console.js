@@ -145,6 +145,9 @@ LINK.on('job', (message) => bags.hearJob(message));
 LINK.on('value_map', (message) => team.map.hear(message));
 LINK.on('refused', ({text}) => alertWith(text));
 LINK.on('note', (text) => alertWith(text, 'note'));
+LINK.on('hands', () => {
+  if (LIVE.paused) bags.close(); // who drives sees what runs
+});
 LINK.on('said', (text) => write(find('said'), text));
 LINK.on('lost', (reason) => {
   if (reason) alertWith(`The console closed the connection: ${reason}.`);

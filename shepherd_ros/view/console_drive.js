@@ -129,7 +129,7 @@ class Drive {
     });
     addEventListener('keyup', (event) => {
       this.keys.delete(event.code);
-      if (event.code === 'Space') this.guard.delete('Space');
+      if (event.code === 'Space' && this.guard.delete('Space')) event.preventDefault();
       if (event.key === 'Shift') this.slow = false;
       if (event.key === 'Meta') this.keys.clear(); // key-ups get lost while it is held
       this.update();

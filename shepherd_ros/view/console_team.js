@@ -2,6 +2,7 @@
 'use strict';
 
 const AUTO = 'auto';
+const ALL = -1;
 
 class Team {
   constructor(link, live, drive) {
@@ -11,6 +12,10 @@ class Team {
     this.map = new ValueMap(link, live, () => this.seen);
     find('lock').onclick = () => {
       link.tell('lock', {locked: find('lock').getAttribute('aria-pressed') !== 'true'});
+    };
+    find('everyone').onchange = ({target}) => {
+      if (target.value) link.tell('driver', {shepherd: ALL, source: target.value});
+      target.value = '';
     };
     find('give').onclick = () => drive.release();
     find('frame').onchange = ({target}) => {
@@ -110,10 +115,10 @@ class Team {
     choice.onchange = () => this.link.tell('driver', {shepherd: h, source: choice.value});
     const hand = element('button', item, 'Drive', 'wide');
     hand.type = 'button';
-    hand.setAttribute('aria-label', `Drive shepherd ${h} by hand`);
     hand.onclick = () => {
-      if (this.drive.held === h) this.drive.release();
-      else this.drive.take(h);
+      if (this.drive.held === h) return this.drive.release();
+      this.link.hear('hands');
+      return this.drive.take(h);
     };
     return {now, choice, hand};
   }
@@ -121,6 +126,10 @@ class Team {
   show() {
     const {drivers} = this;
     if (!drivers) return;
+    const names = [AUTO, ...drivers.sources];
+    const nameOf = (name) => this.nameOf(name);
+    options(find('everyone'), ['', ...names], (name) => (name ? nameOf(name) : 'as below'));
+    find('everyone').disabled = !drivers.present;
     this.rows.forEach((row, h) => {
       const source = drivers.drivers[h],
         page = this.driven[h],
@@ -133,8 +142,7 @@ class Team {
             ? 'you'
             : (source ?? (drivers.present ? 'stands still' : 'not known'));
       write(row.now, words);
-      const names = [AUTO, ...drivers.sources];
-      options(row.choice, names, (name) => this.nameOf(name));
+      options(row.choice, names, nameOf);
       if (document.activeElement !== row.choice) row.choice.value = drivers.selected[h] ?? AUTO;
       row.choice.disabled = row.hand.disabled = !drivers.present;
     });
@@ -154,6 +162,7 @@ class Team {
     this.rows.forEach(({hand}, h) => {
       hand.setAttribute('aria-pressed', h === held);
       write(hand, h === held ? 'Give back' : 'Drive');
+      hand.setAttribute('aria-label', `${hand.textContent} shepherd ${h}`);
     });
     find('driving').hidden = find('stick').hidden = held < 0;
     find('guard').hidden = held < 0 || !this.drive.guarded;

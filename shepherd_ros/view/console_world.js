@@ -15,7 +15,7 @@ class World {
     find('seed').onkeydown = ({key}) => {
       if (key === 'Enter') this.reset();
     };
-    options(find('rate'), RATES, (rate) => (rate ? `${rate} steps/s` : 'own pace'));
+    options(find('rate'), RATES, (rate) => (rate ? `${rate} steps/s` : 'auto'));
     find('rate').onchange = ({target}) => link.tell('rate', {rate: Number(target.value)});
     find('settings').onsubmit = (event) => {
       event.preventDefault();
@@ -77,7 +77,7 @@ class World {
     for (const id of ['go', 'step', 'reset', 'rate', 'seed']) find(id).disabled = !present;
     const menu = find('rate');
     if (!RATES.includes(rate))
-      options(menu, [...RATES, rate], (r) => (r ? `${r} steps/s` : 'own pace'));
+      options(menu, [...RATES, rate], (r) => (r ? `${r} steps/s` : 'auto'));
     if (document.activeElement !== menu) menu.value = rate;
     this.showSettings(settings ?? {});
   }

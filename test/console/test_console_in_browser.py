@@ -257,8 +257,10 @@ def test_each_shepherd_has_the_driver_that_is_chosen(herding: Herding, page: Con
     page.choose('#shepherds li:nth-child(2) select', 'drover')
     until(lambda: herding.driven[:2] == ['strombom', 'drover'], 'another one drives shepherd 1')
     page.until_text('#shepherds li:nth-child(2) .who', lambda text: text == 'Shepherd 1\ndrover')
-    page.choose('#shepherds li:nth-child(2) select', 'auto')
-    until(lambda: herding.driven[1] == 'strombom', 'the default drives again')
+    page.choose('#everyone', 'drover')
+    until(lambda: herding.driven[:2] == ['drover'] * 2, 'it drives all')
+    page.choose('#everyone', 'auto')
+    until(lambda: herding.driven[:2] == ['strombom'] * 2, 'the default drives again')
 
 
 def test_all_shepherds_stand_still_while_they_are_stopped(
@@ -300,6 +302,27 @@ def test_keys_drive_a_shepherd_in_both_frames(herding: Herding, page: ConsolePag
     assert herding.driven[1] == 'strombom'  # the other one never noticed
     page.press(Keys.ESCAPE)
     until(lambda: herding.driven[0] == 'strombom', 'it is given back')
+
+
+def test_the_dead_mans_switch_stops_the_shepherd_while_the_key_is_held(
+    herding: Herding, page: ConsolePage
+) -> None:
+    page.click('#guarded')
+    page.take(0)
+    page.hold('w')
+    page.hold(' ')
+    herding.until_moved(0, 0.0, SPEED)
+    page.let_go(' ')
+    herding.until_moved(0, 0.0, 0.0)
+    assert page.run('return [DRIVE.held, DRIVE.keys.has("KeyW")]') == [0, True]
+    button = page.find('#guard').rect
+    x, y = button['x'] + button['width'] / 2, button['y'] + button['height'] / 2
+    page.touch('touchStart', [{'x': x, 'y': y, 'id': 1}])
+    herding.until_moved(0, 0.0, SPEED)
+    page.touch('touchCancel', [])
+    herding.until_moved(0, 0.0, 0.0)
+    page.let_go('w')
+    page.click('#guarded')
 
 
 def test_the_stick_drives_while_another_finger_moves_the_plane(
@@ -373,7 +396,7 @@ def test_a_recording_is_made_listed_replayed_and_driven_on_by_another(
     page.tab('bags')
     page.click('#record')
     page.until_text('#record', lambda text: text.startswith('Stop'))
-    herding.set_steps(1000)  # the other future is as long
+    herding.set_steps(500)  # the other future is as long
     page.tab('team')
     page.take(0)
     page.hold('d')
