@@ -41,6 +41,10 @@ class ConsolePage(Reader):
         self.run(SENT)
         self.until(lambda: self.run('return LIVE.frame !== null'), 'there is a state')
 
+    def stamp(self) -> int:
+        """Return the stamp of the state that was drawn last [ns]."""
+        return round(self.run('return LIVE.frame.time') * 1e9)
+
     def tab(self, name: str) -> None:
         """Show a tab: team, metrics, world, bags or nodes."""
         self.find(f'#tab-{name}').click()
