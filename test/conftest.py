@@ -6,11 +6,9 @@ The variables are set before rclpy is imported, here and in every process that a
 
 from __future__ import annotations
 
-import ast
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 import fcntl
-from importlib.util import find_spec
 from itertools import count
 import os
 from pathlib import Path
@@ -18,6 +16,7 @@ import signal
 import tempfile
 from typing import TYPE_CHECKING
 
+from installed import missing_packages
 import pytest
 from shepherd_ros.resources import quick_profile
 import torch
@@ -44,26 +43,16 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 torch.set_num_threads(1)
 
 
-def missing_packages(path: Path) -> list[str]:
-    """Return the packages that a file of tests imports and that are not installed."""
-    names = set()
-    for node in ast.parse(path.read_text(encoding='utf-8')).body:
-        if isinstance(node, ast.ImportFrom):
-            names.add(str(node.module).partition('.')[0])
-        elif isinstance(node, ast.Import):
-            names |= {alias.name.partition('.')[0] for alias in node.names}
-    return sorted(name for name in names if find_spec(name) is None)
-
-
 LACKING = {
     str(path): names for path in HERE.rglob('test_*.py') if (names := missing_packages(path))
 }
 collect_ignore = [*LACKING]
 
 
-def pytest_report_header() -> list[str]:
-    """Return a line for each file that is not run, as what it needs is not installed."""
-    return [f'not run without {", ".join(names)}: {path}' for path, names in LACKING.items()]
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Name each file that was not run, as what it needs is not installed."""
+    for path, names in LACKING.items():
+        terminalreporter.write_line(f'not run without {", ".join(names)}: {path}')
 
 
 _counter = count()

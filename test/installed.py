@@ -1,0 +1,64 @@
+"""Packages that tests need and that are not installed, found without importing the tests."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+import re
+
+HERE = Path(__file__).resolve().parent
+PACKAGE = 'shepherd_ros'
+# at the start of a line, as those of functions and for type checkers are not
+IMPORTS = re.compile(r'^(?:from (\S+) import (\([^)]*\)|.*)|import ([\w.]+))', re.MULTILINE)
+
+
+@cache
+def _modules(path: Path) -> list[str]:
+    """Return the names of what importing a file imports; one may be a thing inside a module."""
+    text, found = path.read_text(encoding='utf-8'), []
+    for module, names, plain in IMPORTS.findall(text):
+        things = re.findall(r'^ *(\w+)', names.strip('()').replace(',', '\n'), re.MULTILINE)
+        found += [plain] if plain else [f'{module}.{thing}' for thing in things]
+    if 'iter_modules(__path__)' in text:  # the package imports all its modules
+        folder = '.'.join(path.parent.relative_to(HERE.parent).parts)
+        found += [f'{folder}.{other.stem}' for other in path.parent.glob('[!_]*.py')]
+    return found
+
+
+@cache
+def _own_files(name: str, beside: Path) -> list[Path] | None:
+    """Return the files of this repository that importing a module runs; None if it is not ours."""
+    first, *parts = name.split('.')
+    roots = [HERE.parent] if first == PACKAGE else [HERE, beside]
+    for root in roots:
+        place, files = root / first, []
+        if not place.is_dir() and not place.with_suffix('.py').is_file():
+            continue
+        for part in [*parts, '']:
+            options = [place.with_suffix('.py'), place / '__init__.py']
+            files += [path for path in options if path.is_file()]
+            place /= part
+        return files
+    return None
+
+
+@cache
+def needed(path: Path) -> frozenset[str]:
+    """Return the packages of others that importing a file imports, also through our own files."""
+    found: set[str] = set()
+    seen, waiting = {path}, [path]
+    while waiting:
+        file = waiting.pop()
+        for name in _modules(file):
+            own = _own_files(name, path.parent)
+            if own is None:
+                found.add(name.partition('.')[0])
+            waiting += [other for other in own or () if other not in seen]
+            seen |= set(own or ())
+    return frozenset(found)
+
+
+def missing_packages(path: Path) -> list[str]:
+    """Return the packages that a file of tests needs and that are not installed."""
+    return sorted(name for name in needed(path) if find_spec(name) is None)
