@@ -43,8 +43,8 @@ class Choice(NamedTuple):
 
 
 @dataclass
-class _Ear:
-    """What was heard of one source for one shepherd."""
+class _SourceState:
+    """Last command of one source for one shepherd."""
 
     since: float  # [s] when it may have begun
     silent: bool  # it is not waited for until it is heard again
@@ -98,15 +98,15 @@ class CommandMux:
         check_priorities(self.sources, self.locks)
         self.by_name = {source.name: source for source in self.sources}
         self.order = sorted(self.sources, key=lambda source: -source.priority)
-        self.ears: list[dict[str, _Ear]] = []  # by shepherd
+        self.states: list[dict[str, _SourceState]] = []  # by shepherd
         self.lock_heard: dict[str, tuple[bool, float]] = {}
 
     def begin(self, n_shepherds: int, lockstep: bool, now: float) -> None:
         """Make ready for an episode; what was selected and locked stays."""
         self.lockstep, self.n_shepherds = lockstep, n_shepherds
-        for _ in range(len(self.ears), n_shepherds):
-            self.ears.append(
-                {name: _Ear(now, silent=name != self.default) for name in self.by_name}
+        for _ in range(len(self.states), n_shepherds):
+            self.states.append(
+                {name: _SourceState(now, silent=name != self.default) for name in self.by_name}
             )
             self.selected.append(AUTO)
             self.locked.append(False)
@@ -122,9 +122,9 @@ class CommandMux:
         self, name: str, shepherd: int, velocity: Velocity, stamp_ns: int | None, now: float
     ) -> None:
         """Take a command of a source; without a stamp it answers the present state."""
-        ear = self.ears[shepherd][name]
-        ear.velocity, ear.heard, ear.silent = velocity, now, False
-        ear.stamp_ns = self.stamp_ns if stamp_ns is None else stamp_ns
+        state = self.states[shepherd][name]
+        state.velocity, state.heard, state.silent = velocity, now, False
+        state.stamp_ns = self.stamp_ns if stamp_ns is None else stamp_ns
 
     def hear_lock(self, name: str, on: bool, now: float) -> None:
         """Take a message of a lock."""
@@ -137,8 +137,8 @@ class CommandMux:
         for h in self.team(shepherd):
             self.selected[h] = name
             if name != AUTO:
-                ear = self.ears[h][name]
-                ear.since, ear.silent = max(ear.since, now), False
+                state = self.states[h][name]
+                state.since, state.silent = max(state.since, now), False
 
     def lock(self, on: bool, shepherd: int | None = None) -> None:
         """Lock one shepherd or all, or let them go."""
@@ -170,25 +170,25 @@ class CommandMux:
         zero = Choice(None, ZERO, self.stamp_ns)
         if self.locked[shepherd]:
             return zero
-        floor, ears, name = self.floor(now), self.ears[shepherd], self.selected[shepherd]
+        floor, states, name = self.floor(now), self.states[shepherd], self.selected[shepherd]
         for source in self.order if name == AUTO else [self.by_name[name]]:
             if source.priority < floor:
                 continue
-            ear = ears[source.name]
+            state = states[source.name]
             if source.answers and self.lockstep:
-                if ear.stamp_ns == self.stamp_ns:
-                    return Choice(source.name, ear.velocity, self.stamp_ns)
-                if self._awaited(source, ear, now):
+                if state.stamp_ns == self.stamp_ns:
+                    return Choice(source.name, state.velocity, self.stamp_ns)
+                if self._awaited(source, state, now):
                     return None
-            elif now - ear.heard <= source.timeout:
-                stamp_ns = ear.stamp_ns if source.answers else self.stamp_ns
-                return Choice(source.name, ear.velocity, stamp_ns)
+            elif now - state.heard <= source.timeout:
+                stamp_ns = state.stamp_ns if source.answers else self.stamp_ns
+                return Choice(source.name, state.velocity, stamp_ns)
         return zero
 
-    def _awaited(self, source: CommandSource, ear: _Ear, now: float) -> bool:
+    def _awaited(self, source: CommandSource, state: _SourceState, now: float) -> bool:
         """Return whether an answer to the present state may still come in time."""
-        starting = source.name == self.default and ear.heard == -math.inf
+        starting = source.name == self.default and state.heard == -math.inf
         timeout = max(self.start_timeout, source.timeout) if starting else source.timeout
-        since = ear.since if starting else max(self.shown, ear.since)
-        ear.silent = ear.silent or now - since > timeout
-        return not ear.silent
+        since = state.since if starting else max(self.shown, state.since)
+        state.silent = state.silent or now - since > timeout
+        return not state.silent

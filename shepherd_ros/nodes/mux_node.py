@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -62,7 +63,7 @@ class MuxNode(ShepherdNode):
         self.timer(SILENCE_LOOK_PERIOD, self.decide)
         self.timer(TYPE_PERIOD, self.sources.match)
 
-    # ---- what it hears ----
+    # ---- input ----
 
     def on_episode(self, episode: Episode, world: WorldConfig) -> None:
         """Make ready for the team of an episode."""
@@ -80,7 +81,7 @@ class MuxNode(ShepherdNode):
             self.on_poses(self.poses)
 
     def on_poses(self, poses: Poses) -> None:
-        """Turn to the state that these shepherds are of."""
+        """Answer the state that has these positions of the shepherds."""
         episode, self.poses = self.episode, poses
         if (
             episode is None
@@ -108,27 +109,34 @@ class MuxNode(ShepherdNode):
         self, name: str, shepherd: int | None, velocity: Velocity, stamp_ns: int | None
     ) -> None:
         """Take a command of a source."""
-        team = range(self.mux.n_shepherds) if shepherd is None else [shepherd]
+        team: Sequence[int] = range(self.mux.n_shepherds) if shepherd is None else [shepherd]
         for h in team:
             self.mux.hear(name, h, velocity, stamp_ns, self.wall())
-        self.decide()
+        if self.mux.lockstep:
+            self.decide()
+        elif self._has_state():
+            self._forward(team)
 
     def on_change(self) -> None:
-        """Say what is selected and locked now, and act on it."""
+        """Apply what was selected or locked, and publish it with the last drivers."""
         self.decide()
         if self.drivers is not None:
-            self._tell(replace(self.drivers, **self._requested()))
+            self._publish_drivers(replace(self.drivers, **self._requested()))
 
-    # ---- what it publishes ----
+    # ---- output ----
 
     def decide(self) -> None:
         """Publish the commands that are due."""
-        if self.episode is None or not self.episode.has(self.mux.stamp_ns):
+        if not self._has_state():
             return
         if not self.mux.lockstep:
-            self._forward()
+            self._forward(range(self.mux.n_shepherds))
         elif self.answered_at is None:
             self._answer()
+
+    def _has_state(self) -> bool:
+        """Return whether a state of the present episode has been received."""
+        return self.episode is not None and self.episode.has(self.mux.stamp_ns)
 
     def _answer(self, anew: bool = False) -> None:
         """In lockstep: answer the present state once every shepherd has a command."""
@@ -147,19 +155,19 @@ class MuxNode(ShepherdNode):
                 if choice is not None:
                     self._publish(h, choice)
         self.choices = choices
-        self._tell_drivers()
+        self._publish_drivers_of_step()
 
-    def _forward(self) -> None:
-        """In realtime: publish each command that is another one than before."""
+    def _forward(self, team: Sequence[int]) -> None:
+        """In realtime: publish the commands of these shepherds that differ from their last."""
         now = self.wall()
-        for h in range(self.mux.n_shepherds):
+        for h in team:
             choice, last = self.mux.choose(h, now), self.choices[h]
             if choice is None or choice == last:
                 continue
             self.choices[h] = choice
             if last is None or choice.stamp_ns >= last.stamp_ns or choice.driver != last.driver:
                 self._publish(h, choice)
-        self._tell_drivers()
+        self._publish_drivers_of_step()
 
     def _publish(self, shepherd: int, choice: Choice) -> None:
         """Publish the command of a shepherd in the world frame."""
@@ -180,10 +188,10 @@ class MuxNode(ShepherdNode):
             'locked': tuple(self.mux.locked[:n]),
         }
 
-    def _tell_drivers(self) -> None:
-        """Say who drives in the present step."""
+    def _publish_drivers_of_step(self) -> None:
+        """Publish the drivers of the present step."""
         assert self.episode is not None
-        self._tell(
+        self._publish_drivers(
             Drivers(
                 episode=self.episode.number,
                 step=self.episode.step_of(self.mux.stamp_ns),
@@ -193,14 +201,14 @@ class MuxNode(ShepherdNode):
             )
         )
 
-    def _tell(self, drivers: Drivers) -> None:
-        """Publish who drives, unless that has been said."""
+    def _publish_drivers(self, drivers: Drivers) -> None:
+        """Publish drivers, unless they were published before."""
         if drivers != self.drivers:
             self.drivers = drivers
             self.drivers_output.publish(encode_text(drivers.to_json()))
 
     def diagnose(self) -> list[DiagnosticStatus]:
-        """Return who drives, and which shepherds stand still as nobody does."""
+        """Return the drivers, and the shepherds that stand still for lack of one."""
         level, message = OK, 'every shepherd has a driver'
         drivers = () if self.drivers is None else self.drivers.drivers
         idle = [h for h, driver in enumerate(drivers) if driver is None]

@@ -64,7 +64,7 @@ def bag(shared_graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for _ in range(STEPS // 3):
         advance(graph, sim)
     keys.publish(twist(0, *BY_HAND))
-    graph.until(lambda: graph.hosted[-2].mux.ears[1]['keys'].heard > 0, 'a key')
+    graph.until(lambda: graph.hosted[-2].mux.states[1]['keys'].heard > 0, 'a key')
     for _ in range(STEPS // 3):
         advance(graph, sim)
     graph.trigger('shepherd_1/mux/strombom')

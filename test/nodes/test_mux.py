@@ -309,7 +309,7 @@ def test_a_key_that_turns_a_shepherd_turns_where_forward_is(graph: Graph) -> Non
     graph.call('flock_sim/pause', SetBool, SetBool.Request(data=True))
     node = graph.hosted[-1]
     keys.publish(turn)
-    graph.until(lambda: node.mux.ears and node.mux.ears[0]['keys'].velocity[2], 'a turn')
+    graph.until(lambda: node.mux.states and node.mux.states[0]['keys'].velocity[2], 'a turn')
     graph.until(lambda: sim.flock_commands.complete, 'answers')
     before = node.frames.yaw[0]
     graph.steps(4)
