@@ -75,6 +75,9 @@ REFUSED = {
     'bad remap': ('metrics', '-r x', "'-r x'.*words after --ros-args"),
     'bad node name': ('metrics', '-r __node:=bad-name', '__node:=bad-name.*after --ros-args'),
     'list of two types': ('lidar', '-p shepherd_ids:=[1,a]', r'\[1,a\].*words after --ros-args'),
+    'port too high': ('console', '-p port:=70000', r'port is 70000: expected .*\[0, 65535\]'),
+    'short token': ('console', '-p token:=abc', 'token has 3 characters: expected at least 16'),
+    'no host': ('console', "-p host:=''", "host is '': expected an address, such as 127.0.0.1"),
     'missing file': ('flock_sim', '--params-file /nowhere/x.yaml',
                      '/nowhere/x.yaml.*rror opening YAML file.*file of --params-file'),
 }  # fmt: skip

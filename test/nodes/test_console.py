@@ -21,6 +21,7 @@ from shepherd_ros.console.drives import DEAD_MAN
 from shepherd_ros.console.messages import MESSAGE_KINDS
 from shepherd_ros.nodes.console_node import ConsoleNode
 from shepherd_ros.recordings.episodes import iter_episodes
+from shepherd_ros.ros.runtime import EXIT_USAGE
 from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.wire.episode import Episode
 from std_msgs.msg import String
@@ -179,6 +180,37 @@ def test_the_page_and_its_files_are_served_to_this_machine_alone(console: Consol
             assert 'expected' in text
     with pytest.raises(HTTPClientError, match='403'):
         TestPage(console.address, Origin='http://evil.example')
+
+
+def test_a_port_that_is_taken_is_named(shared_graph: Graph, console: ConsoleNode) -> None:
+    assert console.server is not None
+    port = console.server.port
+    process = shared_graph.start('console', '-r', '__node:=second', port=port)
+    assert process.wait() == EXIT_USAGE
+    assert re.search(f'and port {port}: expected .* that is free', process.text), process
+    assert 'Traceback' not in process.text
+
+
+def test_elsewhere_than_on_loopback_a_token_is_needed(
+    shared_graph: Graph, console: ConsoleNode
+) -> None:
+    node = shared_graph.host('console', '-r', '__node:=open', port=0, host='0.0.0.0')
+    shared_graph.until(lambda: node.address, 'it listens')
+    address, token = node.address.split('?token=')
+    assert status(console, '')[0] == 200  # which needs none
+    with pytest.raises(HTTPError, match='403'):
+        urlopen(address, timeout=10)
+    with pytest.raises(HTTPClientError, match='403'):
+        TestPage(address)
+    with urlopen(node.address, timeout=10) as answer:
+        cookie = answer.headers['Set-Cookie'].split(';')
+    assert {' HttpOnly', ' SameSite=Strict'} <= set(cookie)
+    with urlopen(Request(f'{address}console.js', headers={'Cookie': cookie[0]}), timeout=10) as a:
+        assert a.status == 200
+    page = TestPage(f'{address}?token={token}')
+    shared_graph.until(lambda: page.last('hello'), 'it is let in')
+    page.close()
+    shared_graph.end(node)
 
 
 def test_garbage_closes_its_own_page_alone(
