@@ -27,9 +27,10 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.sim.flocking import FLOCK_MODELS, model_of
 from shepherd_ros.sim.flocking.reynolds_flock import ReynoldsFlock
 from shepherd_ros.sim.flocking.strombom_flock import StrombomFlock
-from shepherd_ros.sim.rng import direction, Stream, uniform
+from shepherd_ros.sim.rng import direction, normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.transition import finite_command, step
+from shepherd_ros.sim.vectors import from_bearing
 from shepherd_ros.sim.world import WorldConfig
 import torch
 from torch import Tensor
@@ -553,3 +554,11 @@ def test_a_reynolds_flock_starts_with_one_heading_and_a_spread_around_it() -> No
     across = common[..., 0] * spread[..., 1] - common[..., 1] * spread[..., 0]
     along = (common * spread).sum(dim=-1)
     assert 0.29 < torch.atan2(across, along).std() < 0.31
+
+
+def test_a_common_heading_has_its_own_draw_and_each_sheep_the_next() -> None:
+    seed, zero = torch.arange(5), torch.zeros(5, dtype=torch.int64)
+    draws = normal(seed, zero, Stream.HEADING, torch.arange(1, 4))
+    common = 2 * math.pi * uniform(seed, zero, Stream.HEADING, torch.arange(1))
+    heading = FLOCK_MODELS['reynolds'].first_heading(seed, 3, ReynoldsFlock(heading_spread=0.3))
+    assert_near(heading, from_bearing(common + 0.3 * draws), 1e-6)
