@@ -178,6 +178,7 @@ def test_every_path_named_exists(page: Path) -> None:
         'src',
         'meta',
         'metrics',
+        'mux',
         'teacher',
         'markers',
         'flock',
