@@ -88,6 +88,15 @@ def all_verbs() -> dict[str, Callable[..., Any]]:
     }
 
 
+def _trainings() -> type[Any]:
+    """Return the trainings as a verb, for the completion of words."""
+    from shepherd_ros.arguments import verb_group
+    from shepherd_ros.cli.train_verbs import DEFAULT_RECIPES, verbs
+
+    trainings: dict[str, Any] = dict(verbs(DEFAULT_RECIPES))
+    return verb_group(Train.__doc__ or '', **trainings)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run a verb and return the exit code: 2 for a mistake of the user's, 130 for Ctrl-C."""
     try:
@@ -104,6 +113,8 @@ def main(arguments: list[str] | None = None) -> int:
             from shepherd_ros.cli.train_verbs import train
 
             return train(words[1:], Train.__doc__ or '')
+        if words[0].startswith('--tyro-'):  # completion, which knows the trainings, too
+            verbs['train'] = _trainings()
         verb = tyro.extras.subcommand_cli_from_dict(
             verbs, prog='shepherd', description='Herd with robots.', args=words
         )

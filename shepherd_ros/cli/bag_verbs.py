@@ -88,7 +88,13 @@ class _Recover:
         """Recover and print what was kept and lost."""
         from shepherd_ros.recordings.recording_writer import recover_recording
 
-        result = recover_recording(self.bag, self.output, compression=self.compression)
+        with progress('recovering') as show:
+            result = recover_recording(
+                self.bag,
+                self.output,
+                compression=self.compression,
+                on_progress=lambda messages: show(messages, text=f'{messages} messages'),
+            )
         print(result.text())
         return 0 if result.whole else _EXIT_DIFFERENT
 
@@ -205,7 +211,8 @@ class _Render:
         units = {metric.name: metric.unit for metric in shown('page') if metric.unit != '1'}
         paths = [self.output / name for name in ('tracks.png', 'herding.gif', 'replay.html')]
         draw_tracks(track, paths[0])
-        animate(track, paths[1], end=self.end, speed=self.speed)
+        with progress('drawing') as show:
+            animate(track, paths[1], end=self.end, speed=self.speed, on_frame=show)
         write_page(track, drawn, paths[2], units=units, ranges=ranges_of(episode))
         for path in paths:
             print(f'wrote {path}')

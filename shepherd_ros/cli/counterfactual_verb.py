@@ -7,10 +7,10 @@ from pathlib import Path
 import shutil
 from typing import Annotated
 
-from rich.progress import Progress
 from shepherd_ros.cli.bag_verbs import one_episode
 from shepherd_ros.cli.controllers import chosen
 from shepherd_ros.cli.out_folders import claimed_folder
+from shepherd_ros.cli.progress import progress
 from shepherd_ros.cli.user_error import UserError
 import tyro
 
@@ -67,15 +67,21 @@ class Counterfactual:
         folder = self.out / 'bag'
         if self.overwrite and (folder / FILE).exists():
             shutil.rmtree(folder)
-        with Progress(transient=True) as progress:
-            task = progress.add_task('driving on', total=recorded.episode_steps + 1)
+        driven = 0
+
+        def advance(worlds: int) -> None:
+            nonlocal driven
+            driven += worlds
+            show(driven)
+
+        with progress('driving on', recorded.episode_steps + 1) as show:
             same = record_future(
                 recorded,
                 at,
                 controller,
                 asked.noise_std,
                 folder,
-                lambda worlds: progress.advance(task),
+                advance,
             )
             (future,) = iter_episodes(open_bag(folder))
             name = f'{self.controller} from {stamps[at]:g} s on'
@@ -84,13 +90,13 @@ class Counterfactual:
             was = track_of(recorded, f'{self.bag.name}, as recorded', at)
             would_be = track_of(future, name, at)
             draw_tracks(was, self.out / 'futures.png', beside=[would_be])
-            task = progress.add_task('drawing')
+        with progress('drawing') as show:
             animate(
                 was,
                 self.out / 'futures.gif',
                 first=max(at - STEPS_BEFORE, 0),
                 beside=[would_be],
-                on_frame=lambda done, total: progress.update(task, completed=done, total=total),
+                on_frame=show,
             )
         past = 'with its memory of the past' if same else 'from there, without any memory'
         print(f'{name}, {past}\n\n{table}')

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
 from shepherd_ros.arguments import verb_group
+from shepherd_ros.cli.progress import progress
 from shepherd_ros.cli.user_error import UserError
 import tyro
 
@@ -51,9 +52,9 @@ class _Info(_Common):
         """Print it."""
         from shepherd_ros.datasets.examples import count_examples, driver_names
 
-        report = count_examples(
-            self.places, self.frames(), self.labels, driver_names(self.drivers)
-        )
+        asked = self.frames(), self.labels, driver_names(self.drivers)
+        with progress('reading') as show:
+            report = count_examples(self.places, *asked, show)
         print(json.dumps(report.to_dict(), indent=1) if self.json else report.text())
         return 0
 
@@ -69,8 +70,9 @@ class _Build(_Common):
         """Write it and print what was found."""
         from shepherd_ros.datasets.examples import build_dataset, driver_names
 
-        drivers = driver_names(self.drivers)
-        report = build_dataset(self.places, self.out, self.frames(), self.labels, drivers)
+        asked = self.frames(), self.labels, driver_names(self.drivers)
+        with progress('reading') as show:
+            report = build_dataset(self.places, self.out, *asked, show)
         print(json.dumps(report.to_dict(), indent=1) if self.json else report.text())
         if not self.json:
             print(f'\nwrote {self.out}')

@@ -6,9 +6,9 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, TYPE_CHECKING
 
-from rich.progress import Progress, TimeElapsedColumn, TimeRemainingColumn
 from shepherd_ros.cli.code import commit
 from shepherd_ros.cli.out_folders import claimed_folder
+from shepherd_ros.cli.progress import progress
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.experiments.setting_arguments import ManySettings
 import tyro
@@ -81,16 +81,14 @@ class Evaluate(ManySettings):
         finished = done_of(own_tasks, rows)
         missing = [task for task in own_tasks if task not in finished]
         code, ended = commit(), 0
-        columns = (*Progress.get_default_columns()[:3], TimeElapsedColumn(), TimeRemainingColumn())
-        with Progress(*columns, disable=rank() > 0) as progress:
-            left = progress.add_task('cells', total=sum(task.cell.cost() for task in missing))
+        spent, total = 0.0, sum(task.cell.cost() for task in missing)
+        with progress('cells', total, quiet=rank() > 0) as show:
             _tell(own_tasks, missing, code, codes_of(finished, rows))
 
             def done(cell: Cell) -> None:
-                nonlocal ended
-                ended += 1
-                text = f'{ended} of {len(missing)} cells'
-                progress.update(left, advance=cell.cost(), description=text)
+                nonlocal ended, spent
+                ended, spent = ended + 1, spent + cell.cost()
+                show(spent, text=f'{ended} of {len(missing)}')
 
             run_tasks(self.out, missing, self.workers, code, done)
         barrier()

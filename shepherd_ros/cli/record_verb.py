@@ -8,8 +8,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal, TYPE_CHECKING
 
-from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 from shepherd_ros.cli.out_folders import own_folder
+from shepherd_ros.cli.progress import progress
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.experiments.setting_arguments import OneSetting
 
@@ -60,19 +60,18 @@ class Record(OneSetting):
         open_parts = [
             part for part in parts if not all(episode_folder(self.out, s).exists() for s in part)
         ]
-        columns = (*Progress.get_default_columns()[:2], MofNCompleteColumn())
         with (
             ProcessPoolExecutor(self.workers, get_context('spawn')) as pool,
-            Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn()) as progress,
+            progress('recording', self.episodes) as show,
         ):
-            task = progress.add_task('episodes', total=self.episodes)
             done = sum(len(part) for part in parts if part not in open_parts)
-            progress.update(task, completed=done)
+            show(done)
             running: set[Future[int]] = {pool.submit(record_part, self, p) for p in open_parts}
             while running:
                 ended, running = wait(running, return_when=FIRST_COMPLETED)
                 for future in ended:
-                    progress.advance(task, future.result())
+                    done += future.result()
+                    show(done, text=f'{done} of {self.episodes} episodes')
         print(f'{self.episodes} bags in {self.out}')
         return 0
 

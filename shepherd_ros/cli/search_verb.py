@@ -8,6 +8,7 @@ from pathlib import Path
 import sys
 
 from shepherd_ros.cli.out_folders import made_folder
+from shepherd_ros.cli.progress import progress, Show
 from shepherd_ros.cli.user_error import UserError
 
 
@@ -32,8 +33,6 @@ class Search:
 
     def run(self) -> int:
         """Search; print every candidate that is better than all before."""
-        from shepherd_ros.paper.claims import AGREES
-        from shepherd_ros.paper.preset_search import CHOICES, search
         import torch
 
         if self.candidates < 1 or self.episodes < 2:
@@ -49,10 +48,20 @@ class Search:
             print(preset_scores(self.presets, self.episodes, on_preset=tell))
             return 0
         made_folder('--out', self.out.parent)
+        with progress('candidates', self.candidates) as show:
+            self._search(show)
+        return 0
+
+    def _search(self, show: Show) -> None:
+        """Print every candidate that is better than all before."""
+        from shepherd_ros.paper.claims import AGREES
+        from shepherd_ros.paper.preset_search import CHOICES, search
+
         best = -1.0
         for number, tried in enumerate(
             search(self.out, self.seed, self.candidates, self.episodes), start=1
         ):
+            show(number, text=f'{number} of {self.candidates}')
             if tried.score <= best:
                 continue
             best = tried.score
@@ -63,4 +72,3 @@ class Search:
                 f'{changed or "the default"}',
                 flush=True,
             )
-        return 0

@@ -13,6 +13,7 @@ from shepherd_ros import __version__
 from shepherd_ros.arguments import arguments_of, configured
 from shepherd_ros.cli.code import commit
 from shepherd_ros.cli.out_folders import claimed_folder
+from shepherd_ros.cli.progress import progress
 from shepherd_ros.cli.train_help import BAGS, COMMON, print_help
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.config import Config
@@ -183,10 +184,12 @@ def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
     if rank() == 0:
         claimed_folder('--out', arguments.out, 'run.json lock')
     run = RunFolder(arguments.out, record)
-    bags = [arguments.bags] if kind is BCConfig else []
-    result = train(policy, *bags, config, run, show)
-    if kind is BCConfig and result.bags:
-        print(result.text())
+    if kind is BCConfig:
+        with progress('reading') as tell:
+            report = train(policy, arguments.bags, config, run, show, tell)
+        print(report.text() if report.bags else '', end='\n' * bool(report.bags))
+    else:
+        train(policy, config, run, show)
     if rank() == 0:
         print(f'the best policy is in {run.best}')
     return 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -34,6 +35,7 @@ class Report:
     returns: RunningStats = field(
         default_factory=lambda: RunningStats(len(PAPER_CHANNELS))
     )  # share of rays
+    on_bag: Callable[[int, int], None] = lambda done, total: None  # before each bag of so many
 
     def drop(self, reason: str, where: str, count: int = 1) -> None:
         """Count steps that are dropped as examples, with the reason and the first place."""

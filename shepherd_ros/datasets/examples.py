@@ -20,6 +20,8 @@ from shepherd_ros.sim.observation import ObservationConfig
 import torch
 from torch import Tensor
 
+OnBag = Callable[[int, int], None]  # how many bags are done, of how many
+
 
 @dataclass(frozen=True)
 class Source:
@@ -122,6 +124,7 @@ def stream_steps(
     if seed is not None:
         random.Random(seed).shuffle(shuffled)
     for source in shuffled:
+        report.on_bag(report.bags, len(shuffled))
         report.bags += 1
         for steps in source.read(report.refuse):
             report.count_episode(steps)
@@ -170,9 +173,10 @@ def count_examples(
     observation: ObservationConfig,
     labels: str = '',
     drivers: Collection[str] = (),
+    on_bag: OnBag = lambda done, total: None,
 ) -> Report:
     """Return the report on places, with the number of examples of this observation."""
-    report = Report()
+    report = Report(on_bag=on_bag)
     for _, steps in stream_steps(places, report, labels=labels, drivers=drivers):
         examples_of(steps, observation, report, drivers)
     return report
@@ -184,6 +188,7 @@ def build_dataset(
     observation: ObservationConfig,
     labels: str = '',
     drivers: Collection[str] = (),
+    on_bag: OnBag = lambda done, total: None,
 ) -> Report:
     """
     Write the complete steps at places as a data set into a new folder; return the report.
@@ -192,7 +197,7 @@ def build_dataset(
     it has all steps of each shepherd that has one of theirs in an episode, as examples see earlier
     frames, too. Raises ConfigError, and leaves no folder then.
     """
-    report, source = Report(), None
+    report, source = Report(on_bag=on_bag), None
     with DatasetWriter(folder, labels, drivers=drivers) as writer:
         for current, steps in stream_steps(places, report, labels=labels, drivers=drivers):
             if current is not source:

@@ -10,7 +10,7 @@ from typing import Any
 
 from shepherd_ros.config import Config, ConfigError, option, part
 from shepherd_ros.datasets.dataset_report import Report
-from shepherd_ros.datasets.examples import driver_names, examples_of, stream_steps
+from shepherd_ros.datasets.examples import driver_names, examples_of, OnBag, stream_steps
 from shepherd_ros.datasets.steps import Steps
 from shepherd_ros.learning.clone import CloneConfig, CloneLearner, Examples
 from shepherd_ros.learning.run_folder import RunFolder
@@ -96,6 +96,7 @@ class BCTrainer:
         self.episodes_read = 0  # episodes of this epoch
         self.batches_due = 0.0  # batches
         self.losses: list[float] = []
+        self.on_bag: OnBag = lambda done, total: None
 
     def share(self) -> float:
         """Return the fraction of the epochs that is done."""
@@ -107,7 +108,8 @@ class BCTrainer:
 
     def update(self, stopping: Callable[[], bool]) -> dict[str, float] | None:
         """Train for the rest of an epoch; return its loss, None if it is interrupted."""
-        config, progress, self.report = self.config, self.progress, Report()
+        config, progress = self.config, self.progress
+        self.report = Report(on_bag=self.on_bag)
         self.learner.scale_learning_rate(1 - 0.95 * self.share())
         order = int(mixed_seeds(1, config.seed, progress['updates']))
         drivers = driver_names(config.drivers)
@@ -161,6 +163,7 @@ def train_bc(
     config: BCConfig,
     run: RunFolder,
     on_line: Callable[[dict[str, Any]], None] = lambda line: None,
+    on_bag: OnBag = lambda done, total: None,
 ) -> Report:
     """
     Fit a policy to bags or data sets, in place; return the report on them.
@@ -170,5 +173,6 @@ def train_bc(
     bags hold no example.
     """
     trainer = BCTrainer(policy, places, config)
+    trainer.on_bag = on_bag
     TrainingLoop(run, trainer, on_line).run_to_end()
     return trainer.report

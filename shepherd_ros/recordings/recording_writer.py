@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 import json
 from pathlib import Path
@@ -20,6 +20,7 @@ VERSION_KEY = 'shepherd_ros.version'
 CONTRACT_KEY = 'shepherd_ros.contract'
 TOPICS_KEY = 'shepherd_ros.topics'  # JSON: topic_hashes()
 EPISODE_KEY = 'shepherd_ros.episode'
+PROGRESS_STEP = 1000  # messages between two calls of on_progress
 LOST_KEY = 'shepherd_ros.lost'  # JSON: how many messages the recorder missed, by topic
 
 
@@ -33,10 +34,27 @@ def _store_episode(custom_data: dict[str, str], topic: str, cdr: bytes) -> None:
 
 
 def recover_recording(
-    path: Path | str, folder: Path | str | None = None, *, compression: str = 'none'
+    path: Path | str,
+    folder: Path | str | None = None,
+    *,
+    compression: str = 'none',
+    on_progress: Callable[[int], None] = lambda messages: None,
 ) -> RecoverResult:
-    """Recover a bag as recover() does; the metadata gets the first episode, as in recordings."""
-    return recover(path, folder, compression=compression, on_message=_store_episode)
+    """
+    Recover a bag as recover() does; the metadata gets the first episode, as in recordings.
+
+    on_progress(how many messages) is called now and then.
+    """
+    messages = 0
+
+    def hear(custom_data: dict[str, str], topic: str, cdr: bytes) -> None:
+        nonlocal messages
+        messages += 1
+        if messages % PROGRESS_STEP == 0:
+            on_progress(messages)
+        _store_episode(custom_data, topic, cdr)
+
+    return recover(path, folder, compression=compression, on_message=hear)
 
 
 def offered_qos(profile: Profile) -> Qos:

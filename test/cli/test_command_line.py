@@ -1,8 +1,10 @@
 """The command `shepherd` as a whole: version, help, running nodes, asking a running world."""
 
+from contextlib import suppress
 import json
 from pathlib import Path
 import re
+import subprocess
 import sys
 from typing import Any
 
@@ -124,3 +126,33 @@ def test_a_verb_writes_again_where_it_has_written_and_beside_others_if_it_may(
     file = tmp_path / 'some.safetensors'
     random = ['checkpoint', 'random', '-o', str(file)]
     assert [main(random), main(random), main([*random, '--overwrite'])] == [0, 2, 0]
+
+
+COMPLETE = """
+source {script}
+complete_words() {{
+  COMP_WORDS=("$@") COMP_CWORD=$(($# - 1)) COMPREPLY=()
+  _tyro_shepherd shepherd "${{COMP_WORDS[COMP_CWORD]}}" "${{COMP_WORDS[COMP_CWORD - 1]}}"
+  echo "${{COMPREPLY[@]}}"
+}}
+complete -p shepherd
+complete_words shepherd do
+complete_words shepherd bag re
+complete_words shepherd record --compression ''
+complete_words shepherd train ppo --sam
+"""
+
+
+def test_bash_completes_verbs_options_and_choices(tmp_path: Path) -> None:
+    script = tmp_path / 'shepherd.bash'
+    with suppress(SystemExit):
+        main(['--tyro-write-completion', 'bash', str(script)])
+    words = ['bash', '--norc', '-c', COMPLETE.format(script=script)]
+    said = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    assert said.splitlines() == [
+        'complete -F _tyro_shepherd shepherd',
+        'doctor',
+        'recover render',
+        'none zstd lz4',
+        '--samples',
+    ]
