@@ -212,8 +212,10 @@ class MuxNode(ShepherdNode):
         level, message = OK, 'every shepherd has a driver'
         drivers = () if self.drivers is None else self.drivers.drivers
         idle = [h for h, driver in enumerate(drivers) if driver is None]
-        if self.drivers is None:
-            level, message = WARN, 'no state of the world answered yet'
+        if self.poses is None:
+            level, message = WARN, 'no state of the world heard yet'
+        elif self.drivers is None:
+            level, message = WARN, f'waiting for the first command of {self.mux.default}'
         elif idle:
             shown = ', '.join(SHEPHERD.format(h=h) for h in idle)
             level, message = WARN, f'zero is commanded, locked or its source silent: {shown}'
