@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 import shutil
 from typing import Annotated
@@ -67,13 +68,7 @@ class Counterfactual:
         folder = self.out / 'bag'
         if self.overwrite and (folder / FILE).exists():
             shutil.rmtree(folder)
-        driven = 0
-
-        def advance(worlds: int) -> None:
-            nonlocal driven
-            driven += worlds
-            show(driven)
-
+        driven = count(1)
         with progress('driving on', recorded.episode_steps + 1) as show:
             same = record_future(
                 recorded,
@@ -81,7 +76,7 @@ class Counterfactual:
                 controller,
                 asked.noise_std,
                 folder,
-                advance,
+                lambda worlds: show(next(driven)),
             )
             (future,) = iter_episodes(open_bag(folder))
             name = f'{self.controller} from {stamps[at]:g} s on'
