@@ -103,25 +103,14 @@ class PiersonController(Controller):
 
     def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return commands, (..., H, 2) m/s, and the next heading (...) rad."""
-        config, world, flock, heading = (
-            self.config,
-            self.world,
-            self.world.flock,
-            memory['heading'],
-        )
+        config, world, heading = self.config, self.world, memory['heading']
+        flock = world.flock
         max_radius = max(config.max_radius or 0.75 * flock.arc_range, config.min_radius)
         gain = config.tracking_gain or min(1 / world.dt, 2.0)
         drift = max(flock.speed, 1e-9)
         if compilable(state.sheep, state.shepherds, heading):
             velocity, heading = pierson_act(
-                state,
-                heading,
-                config,
-                max_radius,
-                gain,
-                drift,
-                world.dt,
-                world.shepherd_speed,
+                state, heading, config, max_radius, gain, drift, world.dt, world.shepherd_speed
             )
             return velocity, {'heading': heading}
         center = state.center

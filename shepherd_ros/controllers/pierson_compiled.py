@@ -52,6 +52,18 @@ def _spread(sheep, mask, x, y, count):
 
 
 @compiled
+def _toward(x, y, constant, tracking, top):
+    """Return the velocity of a shepherd whose place is x, y [m] from it."""
+    if constant:
+        x, y = unit_xy(x, y)
+        return top * x, top * y
+    x, y = tracking * x, tracking * y
+    length = np.float32(math.hypot(x, y))
+    scale = top / max(length, _EPSILON) if length > top else _ONE
+    return scale * x, scale * y
+
+
+@compiled
 def _pierson(
     sheep, sheep_mask, shepherds, shepherd_mask, goal, heading, sorted_places, constant,
     lead, gain, max_turn_rate, weakest, strongest, spread_factor, min_radius, max_radius, tracking,
@@ -70,10 +82,7 @@ def _pierson(
         course = wrap_angle(heading[b] + turn_rate * dt)
         new_heading[b] = course
 
-        present = 0
-        for h in range(size):
-            present += shepherd_mask[b, h]
-        team = np.float32(present)
+        team = np.float32(np.count_nonzero(shepherd_mask[b]))
         share = min(max(speed / pace, weakest), strongest)
         radius = min(max(spread_factor * spread, min_radius), max_radius)
         rear, spacing = course + _PI, _ZERO
@@ -96,14 +105,8 @@ def _pierson(
                 angle = rear + place[h]
                 to_x = x + radius * np.float32(math.cos(angle)) - shepherds[b, h, 0]
                 to_y = y + radius * np.float32(math.sin(angle)) - shepherds[b, h, 1]
-                if constant:
-                    to_x, to_y = unit_xy(to_x, to_y)
-                    velocity[b, h, 0], velocity[b, h, 1] = top * to_x, top * to_y
-                    continue
-                to_x, to_y = tracking * to_x, tracking * to_y
-                length = np.float32(math.hypot(to_x, to_y))
-                scale = top / max(length, _EPSILON) if length > top else _ONE
-                velocity[b, h, 0], velocity[b, h, 1] = scale * to_x, scale * to_y
+                to_x, to_y = _toward(to_x, to_y, constant, tracking, top)
+                velocity[b, h, 0], velocity[b, h, 1] = to_x, to_y
 
 
 def pierson_act(

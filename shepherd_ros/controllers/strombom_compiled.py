@@ -120,9 +120,7 @@ def _strombom(
         x, y, count = mean(sheep[b], sheep_mask[b])
         size = np.float32(count)
         largest, root = _distances(sheep[b], sheep_mask[b], x, y, distance)
-        radius, present = (root if rms else largest) + margin, 0
-        for h in range(team):
-            present += shepherd_mask[b, h]
+        radius = (root if rms else largest) + margin
         max_spread, collect = r * np.float32(size ** (2 / 3)), r
         behind = r * np.float32(math.sqrt(size))
         if elfiqi:
@@ -130,7 +128,7 @@ def _strombom(
             behind = max_spread + standoff
         spacing = wing_spacing
         if spacing == 0:
-            spacing = _PI / np.float32(2 * max(present, 1))
+            spacing = _PI / np.float32(2 * max(int(np.count_nonzero(shepherd_mask[b])), 1))
         rear = bearing_xy(x - goal[b, 0], y - goal[b, 1])
         _strombom_targets(
             sheep[b], sheep_mask[b], shepherds[b], shepherd_mask[b], x, y, distance, rear,

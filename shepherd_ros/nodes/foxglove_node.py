@@ -19,7 +19,7 @@ from shepherd_ros.ros.node import message_type, OK, ShepherdNode, WARN
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.wire.contract import known
 
-LOOK_PERIOD = 0.5  # [s] between two looks at the graph
+GRAPH_LOOK_PERIOD = 0.5  # [s] between two looks at the graph
 WORK_PERIOD = 0.02  # [s] after which what a client asks for is done at the latest
 LOOPBACK = ('127.0.0.1', 'localhost', '::1')
 INTERNAL = re.compile(r'/_|/.*/_')  # hidden names, as ros2cli hides them
@@ -78,7 +78,7 @@ class FoxgloveNode(ShepherdNode):
         if self.host not in LOOPBACK:
             self.get_logger().warning(f'{address} is open to all that reach this host')
         self.timer(WORK_PERIOD, self.work)
-        self.timer(LOOK_PERIOD, self.look)
+        self.timer(GRAPH_LOOK_PERIOD, self.look)
 
     def work(self) -> None:
         """Do what clients have asked for since the last time, in their order."""
