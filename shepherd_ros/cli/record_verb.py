@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Iterator
+from concurrent.futures import as_completed, ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -60,20 +61,23 @@ class Record(OneSetting):
         open_parts = [
             part for part in parts if not all(episode_folder(self.out, s).exists() for s in part)
         ]
-        with (
-            ProcessPoolExecutor(self.workers, get_context('spawn')) as pool,
-            progress('recording', self.episodes) as show,
-        ):
+        with progress('recording', self.episodes) as show:
             done = sum(len(part) for part in parts if part not in open_parts)
             show(done)
-            running: set[Future[int]] = {pool.submit(record_part, self, p) for p in open_parts}
-            while running:
-                ended, running = wait(running, return_when=FIRST_COMPLETED)
-                for future in ended:
-                    done += future.result()
-                    show(done, text=f'{done} of {self.episodes} episodes')
+            for count in self.recorded(open_parts):
+                done += count
+                show(done, text=f'{done} of {self.episodes} episodes')
         print(f'{self.episodes} bags in {self.out}')
         return 0
+
+    def recorded(self, parts: list[range]) -> Iterator[int]:
+        """Record parts, several in processes of their own; yield how many episodes after each."""
+        if self.workers == 1:
+            yield from (record_part(self, part) for part in parts)
+            return
+        with ProcessPoolExecutor(self.workers, get_context('spawn')) as pool:
+            futures = [pool.submit(record_part, self, part) for part in parts]
+            yield from (future.result() for future in as_completed(futures))
 
     def made_by(self) -> dict[str, Any]:
         """Return what decides the episodes; refuses what cannot be, before any process starts."""
@@ -96,7 +100,7 @@ class Record(OneSetting):
 
 
 def record_part(options: Record, seeds: range) -> int:
-    """Record some episodes in a process of its own; return how many."""
+    """Record some episodes in one thread; return how many."""
     from shepherd_ros.memory import keep_memory
     from shepherd_ros.recordings.record import episode_folder, record_episodes
     import torch

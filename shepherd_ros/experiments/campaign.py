@@ -80,10 +80,15 @@ def shard_of(tasks: Sequence[Task], shard: str) -> list[Task]:
     return list(tasks[index - 1 :: count])
 
 
-def start_worker() -> None:
-    """Set a worker process up: one thread, and an end with its parent."""
+def take_one_thread() -> None:
+    """Compute in one thread, and keep freed memory, in whatever process runs cells."""
     torch.set_num_threads(1)
     keep_memory()
+
+
+def start_worker() -> None:
+    """Set a worker process up: one thread, and an end with its parent."""
+    take_one_thread()
 
     def end_with_parent() -> None:
         parent = parent_process()
@@ -101,8 +106,13 @@ def run_tasks(
     code: str,
     on_done: Callable[[Cell], None],
 ) -> None:
-    """Run cells in processes of their own, long ones first; on_done(cell) after each."""
+    """Run cells, several in processes of their own, long ones first; on_done(cell) after each."""
     longest = sorted(tasks, key=lambda task: -task.cell.cost())
+    if workers == 1:
+        take_one_thread()
+        for task in longest:
+            on_done(run_into(folder, task.cell, task.key, code))
+        return
     with ProcessPoolExecutor(workers, get_context('spawn'), start_worker) as pool:
         running: set[Future[Cell]] = {
             pool.submit(run_into, folder, task.cell, task.key, code) for task in longest

@@ -21,7 +21,8 @@ from shepherd_ros.wire.topics import CLOCK, COMMANDS, EPISODE, GOAL
 
 RESEND_PERIOD = 0.25  # [s] after which a state without response is published again
 LATCHED_ACK_TIMEOUT = 5.0  # [s] for readers to acknowledge latched messages before states follow
-ANSWER_TIMEOUT = 60.0  # [s] for the commands of a controller, its start included
+ANSWER_TIMEOUT = 60.0  # [s] for the first command of a controller, its start included
+TEAM_TIMEOUT = 10.0  # [s] between the commands for two shepherds
 
 
 class ControllerProbe(ShepherdNode):
@@ -58,7 +59,7 @@ class ControllerProbe(ShepherdNode):
         Return the commands (2,) m/s for a state, by shepherd; without those that did not come.
 
         raw has the messages of the state by topic. It is published again until all shepherds have
-        answered, or for ANSWER_TIMEOUT; on_resend() is called each time.
+        answered or the next is late; on_resend() is called each time.
         """
         goal = [0.0, 0.0] if frame.goal is None else frame.goal.tolist()
         if goal != self.goal:
@@ -66,18 +67,19 @@ class ControllerProbe(ShepherdNode):
             self.publish(GOAL, encode_goal(frame.stamp_ns, self.world_frame, *goal), latched=True)
         self.stamp_ns = frame.stamp_ns
         self.commands = {}
-        started = self.wall()
-        last_sent = started - RESEND_PERIOD
-        while (
-            not self.commands.keys() >= set(shepherds) and self.wall() - started < ANSWER_TIMEOUT
-        ):
+        deadline = self.wall() + ANSWER_TIMEOUT
+        last_sent = self.wall() - RESEND_PERIOD
+        while not self.commands.keys() >= set(shepherds) and self.wall() < deadline:
             if self.wall() - last_sent >= RESEND_PERIOD:
                 last_sent = self.wall()
                 self.publish(CLOCK, encode_clock(frame.stamp_ns))
                 for topic, content in raw.items():
                     self.publish(topic, content)
                 on_resend()
+            count = len(self.commands)
             self.probe_executor.spin_once(timeout_sec=RESEND_PERIOD)
+            if len(self.commands) > count:
+                deadline = self.wall() + TEAM_TIMEOUT
         return self.commands
 
     def publish(self, topic: str, content: bytes, latched: bool = False) -> None:

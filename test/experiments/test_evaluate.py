@@ -1,7 +1,5 @@
 """Whole episodes of controllers, and the verb that makes rows of them."""
 
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 import json
 from pathlib import Path
@@ -31,34 +29,6 @@ import torch
 
 TINY = Setting(sheep=4, shepherds=2, steps=6)
 WORDS = ['--sheep', '4', '--steps', '6', '--episodes', '3']
-
-
-@pytest.fixture(autouse=True)
-def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run cells one after another in this process, which starts sooner."""
-
-    class Pool:
-        def __init__(self, *args: object) -> None:
-            pass
-
-        def __enter__(self) -> 'Pool':
-            return self
-
-        def __exit__(self, *args: object) -> None:
-            pass
-
-        def shutdown(self, **options: bool) -> None:
-            pass
-
-        def submit(self, work: Callable[..., Cell], *words: object) -> object:
-            future = campaign.Future()
-            try:
-                future.set_result(work(*words))
-            except BaseException as error:
-                future.set_exception(error)
-            return future
-
-    monkeypatch.setattr(campaign, 'ProcessPoolExecutor', Pool)
 
 
 @pytest.mark.parametrize(('name', 'least'), [('strombom', 0.95), ('pierson', 0.99)])
@@ -273,12 +243,14 @@ def test_shards_on_two_machines_make_the_rows_of_one(tmp_path: Path) -> None:
     assert one.equals(two)
 
 
-def test_two_ranks_of_torchrun_make_the_rows_of_one_process(tmp_path: Path) -> None:
+def test_two_ranks_of_torchrun_make_the_rows_of_one_process(
+    commands: Path, tmp_path: Path
+) -> None:
     words = ['evaluate', '6', *WORDS, '--controllers', 'pierson', '--out']
     assert main([*words, str(tmp_path / 'one')]) == 0
     beside = Path(sys.executable).parent
     launch = [beside / 'torchrun', '--standalone', '--nproc-per-node', '2', '--no-python']
-    command = [*launch, beside / 'shepherd', *words, tmp_path / 'two']
+    command = [*launch, commands / 'shepherd', *words, tmp_path / 'two']
     done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     one, two = (read_results([tmp_path / name]).table for name in ('one', 'two'))
@@ -286,8 +258,7 @@ def test_two_ranks_of_torchrun_make_the_rows_of_one_process(tmp_path: Path) -> N
     assert done.stdout.count('fig6.md') == 1, 'the table is written once, when all is there'
 
 
-def test_cells_run_in_processes_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(campaign, 'ProcessPoolExecutor', ProcessPoolExecutor)
+def test_cells_run_in_processes_too(tmp_path: Path) -> None:
     words = ['evaluate', '5', '--steps', '3', '--sheep', '3', '--episodes', '1', '--workers', '2']
     assert main([*words, '--controllers', 'idle', '--out', str(tmp_path)]) == 0
     assert len(read_results([tmp_path])) == 6
