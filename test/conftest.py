@@ -16,7 +16,9 @@ import signal
 import tempfile
 from typing import TYPE_CHECKING
 
+from forks import forked_commands
 from installed import missing_packages
+from laws import compile_beside, compile_laws, wait_for_laws
 import pytest
 from shepherd_ros.resources import quick_profile
 import torch
@@ -55,6 +57,17 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.write_line(f'not run without {", ".join(names)}: {path}')
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile laws while workers collect tests."""
+    if getattr(config.option, 'numprocesses', None) and not hasattr(config, 'workerinput'):
+        compile_beside()
+
+
+def pytest_collection_finish() -> None:
+    """Let tests begin when the laws are compiled."""
+    wait_for_laws()
+
+
 _counter = count()
 
 
@@ -88,7 +101,7 @@ def own_domain() -> Iterator[int]:
 @contextmanager
 def own_graph(folder: Path) -> Iterator[Graph]:
     """Lend an empty graph; whatever a test starts in it has ended afterwards."""
-    from nodes.process import compile_laws, Graph
+    from nodes.process import Graph
 
     compile_laws()
     with own_domain() as domain, pytest.MonkeyPatch.context() as patch:
@@ -100,6 +113,13 @@ def own_graph(folder: Path) -> Iterator[Graph]:
             yield graph
         finally:
             graph.close()
+
+
+@pytest.fixture(scope='session')
+def commands() -> Iterator[Path]:
+    """Lend a folder with commands `shepherd` and `python` that start at once."""
+    with forked_commands() as folder:
+        yield folder
 
 
 @pytest.fixture

@@ -3,31 +3,15 @@
 import os
 from pathlib import Path
 import subprocess
-import sys
 
 from manual_blocks import blocks, ROOT, RUN, script
 import pytest
 
-SHEPHERD = f"""#!{sys.executable}
-import sys
-from shepherd_ros.cli import main
-if __name__ == '__main__':
-    sys.exit(main())
-"""
-PROGRAMS = {'shepherd': SHEPHERD, 'python': f'#!/bin/sh\nexec {sys.executable} "$@"\n'}
+PAGES = [page for page in RUN if any(block.runs for block in blocks(page))]
 
 
-@pytest.mark.timeout(600)
-@pytest.mark.parametrize('page', RUN, ids=lambda page: page.stem)
-def test_a_page_runs_from_top_to_bottom(page: Path, tmp_path: Path) -> None:
-    if not any(block.runs for block in blocks(page)):
-        pytest.skip('nothing on this page runs without ROS 2')
-    place, commands = tmp_path / 'empty', tmp_path / 'bin'
-    for folder in (place, commands):
-        folder.mkdir()
-    for name, text in PROGRAMS.items():
-        (commands / name).write_text(text)
-        (commands / name).chmod(0o755)
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)
+def test_a_page_runs_from_top_to_bottom(page: Path, commands: Path, tmp_path: Path) -> None:
     environment = os.environ | {
         'PATH': f'{commands}:{os.environ["PATH"]}',
         'PYTHONPATH': str(ROOT),
@@ -36,7 +20,7 @@ def test_a_page_runs_from_top_to_bottom(page: Path, tmp_path: Path) -> None:
     environment.pop('SHEPHERD_ROS_PLUGINS', None)
     done = subprocess.run(
         ['bash', '-x', '-c', script(page)],
-        cwd=place,
+        cwd=tmp_path,
         env=environment,
         capture_output=True,
         text=True,

@@ -34,9 +34,9 @@ TINY = (
     '--sheep-max 5 --shepherds-max 2 --episode-steps 48'
 )
 
+pytestmark = pytest.mark.xdist_group('distributed')  # one training for all
 BIN = Path(sys.executable).parent
-LAUNCH = (BIN / 'torchrun', '--standalone', '--nproc-per-node', '2')
-SHEPHERD = BIN / 'shepherd'
+LAUNCH = (BIN / 'torchrun', '--standalone', '--nproc-per-node', '2', '--no-python')
 TIMES = ('seconds', 'seconds_left', 'samples_per_second', 'rollout_share')
 
 
@@ -87,8 +87,10 @@ def torchrun(*words: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-def test_an_update_of_two_is_that_of_one_with_all_decisions(tmp_path: Path) -> None:
-    done = torchrun(__file__, tmp_path)
+def test_an_update_of_two_is_that_of_one_with_all_decisions(
+    commands: Path, tmp_path: Path
+) -> None:
+    done = torchrun(commands / 'python', __file__, tmp_path)
     assert done.returncode == 0, done.stderr
     one = updated()
     for index in (0, 1):
@@ -99,9 +101,9 @@ def test_an_update_of_two_is_that_of_one_with_all_decisions(tmp_path: Path) -> N
 
 
 @pytest.fixture(scope='module')
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def trained(commands: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp('ranks') / 'run'
-    done = torchrun('--no-python', SHEPHERD, 'train', 'ppo', *TINY.split(), '--out', out)
+    done = torchrun(commands / 'shepherd', 'train', 'ppo', *TINY.split(), '--out', out)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count('the best policy is in') == 1
     return out
@@ -120,10 +122,10 @@ def test_two_have_the_same_weights_and_worlds_of_their_own(trained: Path) -> Non
 
 
 def test_a_run_of_two_that_is_ended_goes_on_as_if_it_had_not_been(
-    trained: Path, tmp_path: Path
+    trained: Path, commands: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / 'run'
-    command = [*LAUNCH, '--no-python', SHEPHERD, 'train', 'ppo', *TINY.split(), '--out', out]
+    command = [*LAUNCH, commands / 'shepherd', 'train', 'ppo', *TINY.split(), '--out', out]
     run = subprocess.Popen(
         [str(word) for word in command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
@@ -134,7 +136,7 @@ def test_a_run_of_two_that_is_ended_goes_on_as_if_it_had_not_been(
     run.communicate()
     assert run.returncode != 0
     assert len(torch.load(out / 'state.pt', weights_only=True)['ranks']) == 2
-    done = torchrun('--no-python', SHEPHERD, 'train', 'ppo', *TINY.split(), '--out', out)
+    done = torchrun(commands / 'shepherd', 'train', 'ppo', *TINY.split(), '--out', out)
     assert done.returncode == 0, done.stderr
     curves = [
         [

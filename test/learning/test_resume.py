@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 import errno
+from functools import cache
 import json
 import os
 from pathlib import Path
@@ -59,6 +60,8 @@ CONFIGS: dict[str, Config] = {
 KINDS = sorted(CONFIGS)
 TIMES = ('seconds', 'seconds_left', 'samples_per_second', 'rollout_share')
 Line = dict[str, Any]
+Whole = tuple[Path, list[Line]]
+pytestmark = pytest.mark.xdist_group('resume')  # whole runs for all
 
 
 class PowerCutError(Exception):
@@ -90,6 +93,18 @@ def learn(
     return [{k: v for k, v in json.loads(x).items() if k not in TIMES} for x in lines]
 
 
+@pytest.fixture(scope='module')
+def whole(tmp_path_factory: pytest.TempPathFactory, bags: Path) -> Callable[[str], Whole]:
+    """Return what trains from beginning to end: the folder and the curve, once for each kind."""
+
+    @cache
+    def trained(kind: str) -> Whole:
+        folder = tmp_path_factory.mktemp(kind) / 'run'
+        return folder, learn(kind, folder, bags)
+
+    return trained
+
+
 def cut_after(update: int, number: int = 0) -> Callable[[Line], None]:
     """Return what cuts a run off after an update: a power cut, or a signal."""
 
@@ -104,28 +119,28 @@ def cut_after(update: int, number: int = 0) -> Callable[[Line], None]:
 
 @pytest.mark.parametrize('kind', KINDS)
 def test_a_run_that_is_cut_off_goes_on_with_the_same_numbers(
-    kind: str, tmp_path: Path, bags: Path
+    kind: str, tmp_path: Path, bags: Path, whole: Callable[[str], Whole]
 ) -> None:
-    whole, cut = learn(kind, tmp_path / 'whole', bags), tmp_path / 'cut'
-    updates = len(whole)
+    (folder, curve), cut = whole(kind), tmp_path / 'cut'
+    updates = len(curve)
     assert updates >= 3
     for update in sorted({1, 2, updates - 1}):
         with pytest.raises(PowerCutError):
             learn(kind, cut, bags, cut_after(update))
-    assert learn(kind, cut, bags) == whole
-    assert learn(kind, cut, bags) == whole  # and is over
+    assert learn(kind, cut, bags) == curve
+    assert learn(kind, cut, bags) == curve  # and is over
     names = {path.name for path in cut.iterdir() if 'tfevents' not in path.name}
     assert names == {'best.safetensors', 'curve.jsonl', 'lock', 'run.json', 'state.pt'}
-    other = load_policy(str(tmp_path / 'whole' / 'best.safetensors')).state_dict()
+    other = load_policy(str(folder / 'best.safetensors')).state_dict()
     for name, weight in load_policy(str(cut / 'best.safetensors')).state_dict().items():
         assert torch.equal(weight, other[name])
 
 
 @pytest.mark.parametrize('kind', KINDS)
 def test_signals_save_the_state_and_end_with_their_exit_code(
-    kind: str, tmp_path: Path, bags: Path
+    kind: str, tmp_path: Path, bags: Path, whole: Callable[[str], Whole]
 ) -> None:
-    whole, cut = learn(kind, tmp_path / 'whole', bags), tmp_path / 'cut'
+    cut = tmp_path / 'cut'
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
         learn(kind, cut, bags, cut_after(1, signal.SIGINT))
@@ -143,15 +158,16 @@ def test_signals_save_the_state_and_end_with_their_exit_code(
     assert ended.value.code == 128 + signal.SIGTERM
     # the update that ran as the signal came is done, only its evaluation may be left
     assert seen[0]['updates'] == 2
-    assert learn(kind, cut, bags) == whole
+    assert learn(kind, cut, bags) == whole(kind)[1]
     assert signal.getsignal(signal.SIGINT) == before
 
 
 def test_ctrl_c_in_an_evaluation_ends_at_once_and_the_line_comes_later(
-    tmp_path: Path, bags: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    bags: Path,
+    whole: Callable[[str], Whole],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    whole = learn('ppo', tmp_path / 'whole', bags)
-
     def validate(*arguments: Any) -> dict[str, float]:
         os.kill(os.getpid(), signal.SIGINT)
         return {}
@@ -161,13 +177,16 @@ def test_ctrl_c_in_an_evaluation_ends_at_once_and_the_line_comes_later(
         with pytest.raises(KeyboardInterrupt):
             learn('ppo', tmp_path / 'cut', bags)
     assert len((tmp_path / 'cut' / 'curve.jsonl').read_text().splitlines()) == 1
-    assert learn('ppo', tmp_path / 'cut', bags) == whole
+    assert learn('ppo', tmp_path / 'cut', bags) == whole('ppo')[1]
 
 
 def test_what_is_torn_between_state_and_curve_is_written_again(
-    tmp_path: Path, bags: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    bags: Path,
+    whole: Callable[[str], Whole],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    whole, cut = learn('ppo', tmp_path / 'whole', bags), tmp_path / 'cut'
+    cut = tmp_path / 'cut'
     write = RunFolder.write
 
     def dies(run: RunFolder, line: Line) -> None:
@@ -181,7 +200,7 @@ def test_what_is_torn_between_state_and_curve_is_written_again(
         patch.setattr(RunFolder, 'write', dies)
         with pytest.raises(PowerCutError):
             learn('ppo', cut, bags)
-    assert learn('ppo', cut, bags) == whole
+    assert learn('ppo', cut, bags) == whole('ppo')[1]
 
 
 @pytest.mark.parametrize(('kind', 'more'), [('ppo', 'samples'), ('dagger', 'rounds')])
@@ -247,9 +266,13 @@ def test_a_folder_that_cannot_be_used_is_told(tmp_path: Path, bags: Path) -> Non
 
 @pytest.mark.parametrize('name', ['run.json', 'state.pt', 'best.safetensors'])
 def test_a_full_disk_is_told_and_leaves_what_was_there(
-    name: str, tmp_path: Path, bags: Path, monkeypatch: pytest.MonkeyPatch
+    name: str,
+    tmp_path: Path,
+    bags: Path,
+    whole: Callable[[str], Whole],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    whole, cut = learn('ppo', tmp_path / 'whole', bags), tmp_path / 'cut'
+    cut = tmp_path / 'cut'
     if name != 'run.json':  # which is written first
         with pytest.raises(PowerCutError):
             learn('ppo', cut, bags, cut_after(2))
@@ -265,7 +288,7 @@ def test_a_full_disk_is_told_and_leaves_what_was_there(
         patch.setattr(training_loop, 'validate', lambda *arguments: {'score': 1e9})
         with pytest.raises(ConfigError, match=rf'{name} cannot be written .*No space left'):
             learn('ppo', cut, bags)
-    assert learn('ppo', cut, bags) == whole
+    assert learn('ppo', cut, bags) == whole('ppo')[1]
 
 
 def test_a_learner_that_is_broken_is_told_and_not_kept(tmp_path: Path, bags: Path) -> None:

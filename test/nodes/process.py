@@ -11,10 +11,8 @@ from collections.abc import Callable
 import ctypes
 from dataclasses import dataclass, field
 import faulthandler
-from functools import cache
 from itertools import pairwise
 import json
-import multiprocessing as mp
 import os
 from pathlib import Path
 import re
@@ -26,6 +24,7 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from forks import DIE_WITH_PARENT, FORKS
 from geometry_msgs.msg import PoseArray, TwistStamped
 from rcl_interfaces.msg import Log
 from rcl_interfaces.srv import SetParameters
@@ -44,8 +43,6 @@ from shepherd_ros.controllers import make_controller
 from shepherd_ros.nodes.compose import NODES
 from shepherd_ros.ros.node import nanoseconds, ShepherdNode, stamp
 from shepherd_ros.sim.env import ShepherdEnv
-from shepherd_ros.sim.flocking import FLOCK_MODELS
-from shepherd_ros.sim.presets import world_preset
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.state import WorldState
 from std_srvs.srv import Trigger
@@ -54,8 +51,7 @@ from torch import Tensor
 
 EXECUTABLES = tuple(NODES)
 BIN = Path(sys.executable).parent
-DEADLINE = 25.0  # [s] for anything that should happen soon, on a busy machine
-DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
+DEADLINE = 100.0  # [s] for anything that should happen soon, on a machine that has much to do
 
 RELIABLE = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 BEST_EFFORT = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -65,20 +61,7 @@ LATCHED = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 
-FORKS = mp.get_context('forkserver')
-FORKS.set_forkserver_preload(['shepherd_ros.nodes.compose', 'rosgraph_msgs.msg'])
 PLUGINS = 'SHEPHERD_ROS_PLUGINS'
-
-
-@cache
-def compile_laws() -> None:
-    """Let numba compile what nodes compute, which takes a while the first time on a machine."""
-    for flock in FLOCK_MODELS:
-        env = ShepherdEnv(EnvConfig(world=world_preset('default', flock)), 1)
-        env.reset()
-        for name in ('strombom', 'pierson'):
-            law = make_controller(name, env.config.world)
-            env.step(law.act(env.perceived, law.begin(env.perceived))[0])
 
 
 def until(

@@ -8,7 +8,6 @@ import json
 import os
 from pathlib import Path
 import subprocess
-import sys
 
 from nodes.process import DEADLINE, Graph
 from plugins.verbs import run
@@ -89,15 +88,16 @@ def named() -> Iterator[None]:
 
 
 @pytest.fixture(scope='module')
-def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
+def trained(commands: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
     """Return a tiny run of PPO with all of them, and what verbs say of its checkpoint."""
     out = tmp_path_factory.mktemp('ppo') / 'run'
     best = out / 'best.safetensors'
     said = run(
+        commands / 'python',
         FILES,
         f'train ppo --quick --out {out} --path 0.5 --samples 150 --policy.lidar.others posts '
         '--groups 1 --worlds 4 --decisions 4 --eval-episodes 2 --eval-steps 20',
-        f'checkpoint info {best}',
+        f'checkpoint info {best} --json',
         f'checkpoint card {best}',
         'evaluate table --quick --sheep 5 --shepherds 1 --controllers strombom '
         f'policy:{best} --out {out / "rows"}',
@@ -105,9 +105,10 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
     return out, said[1:]
 
 
-def test_in_the_environment() -> None:
+def test_in_the_environment(commands: Path, tmp_path: Path) -> None:
     environment = os.environ | {'SHEPHERD_ROS_PLUGINS': FILES}
-    command = [sys.executable, '-c', ENVIRONMENT]
+    (tmp_path / 'steps.py').write_text(ENVIRONMENT)
+    command = [commands / 'python', tmp_path / 'steps.py']
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
@@ -194,12 +195,13 @@ def test_over_dds_and_in_bags(recorded: Path) -> None:
 
 
 def test_verbs_read_the_bag_and_learning_needs_the_channels_of_the_policy(
-    recorded: Path, tmp_path: Path
+    recorded: Path, commands: Path, tmp_path: Path
 ) -> None:
     few = '--quick --epochs 1 --eval-episodes 2 --eval-steps 10'
     posts = '--policy.lidar.others posts'
     built = tmp_path / 'built'
     info, _, _, refused, *_ = run(
+        commands / 'python',
         FILES,
         f'bag info {recorded}',
         f'bag export {recorded} --output {tmp_path / "tables"}',

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import json
 import os
+from pathlib import Path
 import subprocess
 import sys
 
-RUN = """
-import json, sys
 from shepherd_ros.cli import main
-for words in json.loads(sys.argv[1]):
-    print(f'\\0{main(words.split())}\\0', flush=True)
-"""
 
 
-def run(plugins: str, *commands: str, **variables: str) -> list[str]:
+def run(python: Path, plugins: str, *commands: str, **variables: str) -> list[str]:
     """Return what verbs say, one after another; those that begin with ! have to be refused."""
     words = json.dumps([command.removeprefix('!') for command in commands])
     done = subprocess.run(
-        [sys.executable, '-u', '-c', RUN, words],
+        [python, __file__, words],
         env=os.environ | {'SHEPHERD_ROS_PLUGINS': plugins} | variables,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
@@ -31,3 +27,8 @@ def run(plugins: str, *commands: str, **variables: str) -> list[str]:
     for command, text, code in zip(commands, said, codes, strict=True):
         assert code == ('2' if command.startswith('!') else '0'), f'{command}: {text}'
     return said
+
+
+if __name__ == '__main__':
+    for words in json.loads(sys.argv[1]):
+        print(f'\0{main(words.split())}\0', flush=True)

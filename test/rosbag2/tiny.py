@@ -13,11 +13,13 @@ from functools import cache
 import json
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 from rosbags.typesys import get_typestore, Stores
 from shepherd_ros.recordings.recording_writer import offered_qos, RecordingWriter
 from shepherd_ros.rosbag2.writer import BagWriter
+from shepherd_ros.sim import compiled
 from shepherd_ros.sim.lidar import LidarConfig, scan
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.sim.spawn import spawn
@@ -148,6 +150,7 @@ def _states(world: WorldConfig, seed: int) -> Iterable[tuple[WorldState, torch.T
 
 
 @cache
+@patch.object(compiled, 'HAS_NUMBA', False)  # nothing to compile where tests are collected
 def recording(steps: int = STEPS) -> tuple[tuple[Sent, ...], tuple[Truth, ...]]:
     """Return all messages in the order of their log times, and what they say."""
     sent: list[Sent] = []
