@@ -25,30 +25,35 @@ console: $(VENV)/.demo  # everything runs until Ctrl-C, with a page in the brows
 	$(BIN)/shepherd console --controller $(CONTROLLER) --sheep $(SHEEP) --shepherds $(SHEPHERDS) \
 	  --flock $(FLOCK) --preset $(PRESET) --seed $(SEED) --steps $(STEPS) --port $(PORT)
 
+# Four workers also on two cores, as tests of nodes wait; what one compiles serves all.
 test: setup browser  # all tests
-	$(BIN)/python -m pytest -n 2 --dist loadgroup
+	env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n 4 --dist loadgroup
 
 help:  # this list
 	@sed -n 's/^\([a-z-]*\):[^#]*  # /\1: /p' $(MAKEFILE_LIST)
 
 setup: $(VENV)/.installed  # the environment with all that tests and other targets need
 
+# Packages are compiled by all cores at the end, not one after another.
 # torch without GPU libraries, which take gigabytes; where it cannot be reached, that of PyPI
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 REACHED = $(BIN)/python -c "from urllib.request import urlopen as u; u('$(TORCH_INDEX)', timeout=5)"
 INSTALL = if $(REACHED) 2>/dev/null; then export PIP_EXTRA_INDEX_URL=$(TORCH_INDEX); fi; \
-  $(BIN)/python -m pip install --constraint constraints.txt --editable
+  $(BIN)/python -m pip install --no-compile --constraint constraints.txt --editable
+COMPILE = $(BIN)/python -m compileall -q -j 0 $(VENV)/lib >/dev/null || true
 
-$(VENV)/.demo: setup.py package.xml constraints.txt
+$(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.demo: setup.py package.xml constraints.txt | $(BIN)/python
 	@echo 'make: what the demo needs goes into $(VENV): 0.5 GB to download, 2 GB on disk'
-	@$(INSTALL) '.[$(ROS),fast]'
+	@$(INSTALL) '.[$(ROS),fast]' && { $(COMPILE); }
 	@touch $@
 
-$(VENV)/.installed: $(VENV)/.demo
-	@echo 'make: what tests need goes into $(VENV): 0.2 GB to download, 0.5 GB on disk'
-	@$(INSTALL) '.[$(ROS),fast,envs,dev]'
-	@touch $@
+$(VENV)/.installed: setup.py package.xml constraints.txt | $(BIN)/python
+	@echo 'make: what tests need goes into $(VENV): 0.7 GB to download, 2.5 GB on disk'
+	@$(INSTALL) '.[$(ROS),fast,envs,docs,dev]' && { $(COMPILE); }
+	@touch $@ $(VENV)/.demo
 
 browser:  # Chromium, in which the tests look at pages, and Node.js, with which they decode
 	@if ! { { command -v chromium || command -v chromium-browser || command -v google-chrome; } && \
@@ -114,7 +119,6 @@ bench-learning: setup  # about five minutes on cores of its own
 	$(BIN)/python benchmarks/learning.py
 
 docs: setup  # the manual; out/docs/index.html
-	$(BIN)/pip install -q -c constraints.txt --editable '.[docs]'
 	$(BIN)/python -m sphinx -q -W --keep-going docs out/docs
 
 clean:

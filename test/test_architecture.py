@@ -225,7 +225,7 @@ def test_files_name_no_place_of_one_machine_and_leave_nothing_to_do() -> None:
         ('ruff', ['check', '.']),
         ('ruff', ['format', '--check', '.']),
         ('codespell_lib', []),
-        pytest.param('mypy', [], marks=pytest.mark.timeout(300)),
+        ('mypy', []),
     ],
     ids=['ruff-check', 'ruff-format', 'codespell', 'mypy'],
 )

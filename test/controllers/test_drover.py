@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import product
 import math
 from typing import Any
@@ -35,6 +35,12 @@ def square(x: float, y: float, half: float = 1.0) -> list[tuple[float, float]]:
 def scene(sheep: list[tuple[float, float]], shepherds: list[tuple[float, float]]) -> WorldState:
     """Return a state with the goal (4 m) at the origin."""
     return state_of(sheep, shepherds, goal_radius=4.0)
+
+
+def beside(*states: WorldState) -> WorldState:
+    """Return a batch of worlds."""
+    names = [field.name for field in fields(WorldState)]
+    return WorldState(**{k: torch.stack([getattr(s, k) for s in states]) for k in names})
 
 
 def settle(
@@ -132,19 +138,18 @@ def gaps_of(places: Tensor) -> list[float]:
     return torch.cat([bearing.diff(), bearing[:1] + 2 * math.pi - bearing[-1:]]).tolist()
 
 
-@pytest.mark.parametrize(
-    ('away', 'arc'), [(6.0, 1.0), (3.2, 0.5), (1.8, 0.25), (0.4, 0.0), (0.1, 0.0)]
-)
-def test_the_arc_opens_as_the_flock_comes_home(away: float, arc: float) -> None:
+def test_the_arc_opens_as_the_flock_comes_home() -> None:
     # an arc from 1.5 goal radii (6 m) on, a ring within a tenth: half of each at 3.2 m
+    arcs = {6.0: 1.0, 3.2: 0.5, 1.8: 0.25, 0.4: 0.0, 0.1: 0.0}  # by how far the flock is [m]
     world = replace(WORLD, n_shepherds=3)
-    state = scene(square(away, 0), [(20.0, -2.0), (20.0, 0.0), (20.0, 2.0)])
-    places, _ = settle(state, 700, world)
-    distance = arc * NOTICE + (1 - arc) * (NOTICE + 0.45 * 4)
-    assert places.norm(dim=-1).tolist() == pytest.approx([distance] * 3, abs=0.05)
-    spacing = arc * 0.25 + (1 - arc) * 2 * math.pi / 3
-    rest = 2 * math.pi - 2 * spacing
-    assert sorted(gaps_of(places)) == pytest.approx(sorted([spacing, spacing, rest]), abs=0.02)
+    team = [(20.0, -2.0), (20.0, 0.0), (20.0, 2.0)]
+    worlds, _ = settle(beside(*(scene(square(away, 0), team) for away in arcs)), 700, world)
+    for places, arc in zip(worlds, arcs.values(), strict=True):
+        distance = arc * NOTICE + (1 - arc) * (NOTICE + 0.45 * 4)
+        assert places.norm(dim=-1).tolist() == pytest.approx([distance] * 3, abs=0.05)
+        spacing = arc * 0.25 + (1 - arc) * 2 * math.pi / 3
+        rest = 2 * math.pi - 2 * spacing
+        assert sorted(gaps_of(places)) == pytest.approx(sorted([spacing, spacing, rest]), abs=0.02)
 
 
 def test_it_remembers_nothing() -> None:
@@ -159,13 +164,13 @@ def test_it_remembers_nothing() -> None:
     assert float((state.gap <= 0).float().mean()) > 0.9
 
 
-@pytest.mark.parametrize(('inside', 'home'), [(3, False), (4, True)])
-def test_a_lone_shepherd_faces_strays_when_enough_are_inside(inside: int, home: bool) -> None:
-    sheep = [(0.0, 0.0)] * inside + [(0.0, 6.0)] * (5 - inside)
+def test_a_lone_shepherd_faces_strays_when_enough_are_inside() -> None:
+    flocks = [[(0.0, 0.0)] * inside + [(0.0, 6.0)] * (5 - inside) for inside in (3, 4)]
     world = WorldConfig(n_sheep=5, n_shepherds=1)
-    place, _ = settle(scene(sheep, [(24.0, 0.0)]), 700, world)
+    places, _ = settle(beside(*(scene(sheep, [(24.0, 0.0)]) for sheep in flocks)), 700, world)
     # 0.8 inside: before the stray, beyond the goal's edge; else behind the flock's center
-    assert place.tolist() == pytest.approx([0.0, NOTICE + 0.45 * 4 * home], abs=0.1)
+    for place, beyond in zip(places, (0.0, 0.45 * 4), strict=True):
+        assert place[0].tolist() == pytest.approx([0.0, NOTICE + beyond], abs=0.1)
 
 
 def test_a_lone_shepherd_sets_out_to_the_stray_nearer_in_bearing() -> None:
@@ -180,11 +185,11 @@ def test_a_lone_shepherd_sets_out_to_the_stray_nearer_in_bearing() -> None:
 def test_a_lone_shepherd_turns_to_the_stray_beside_it() -> None:
     world = WorldConfig(n_sheep=10, n_shepherds=1)
     edge = NOTICE + 0.45 * 4
-    for start, stray in [((20.0, 13.0), (0.0, 6.0)), ((20.0, -13.0), (0.0, -5.0))]:
-        home = scene([(0.0, 0.0)] * 8 + [(0.0, 6.0), (0.0, -5.0)], [start])
-        place, _ = settle(home, 700, world)
-        expected = [0.0, math.copysign(edge, stray[1])]
-        assert place.tolist() == pytest.approx(expected, abs=0.1)
+    sheep = [(0.0, 0.0)] * 8 + [(0.0, 6.0), (0.0, -5.0)]
+    worlds = beside(*(scene(sheep, [(20.0, y)]) for y in (13.0, -13.0)))
+    places, _ = settle(worlds, 700, world)
+    for place, y in zip(places, (edge, -edge), strict=True):
+        assert place[0].tolist() == pytest.approx([0.0, y], abs=0.1)
 
 
 def test_with_all_inside_a_lone_shepherd_stays_where_it_is() -> None:

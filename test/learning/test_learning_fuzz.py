@@ -34,7 +34,6 @@ def folder() -> Iterator[Path]:
         yield Path(name)
 
 
-@pytest.mark.timeout(300)
 def test_damaged_and_hostile_files_end_in_words(folder: Path) -> None:
     seeds = folder / 'seeds'
     (seeds / 'bags').mkdir(parents=True)

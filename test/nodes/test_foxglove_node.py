@@ -130,7 +130,7 @@ def servers(shared_graph: Graph) -> Iterator[dict[str, str]]:
     graph.start('lidar', shepherd_ids=list(range(TEAM)))
     graph.start('metrics')
     graph.start('pierson')
-    graph.start('flock_sim', n_sheep=SHEEP, n_shepherds=TEAM, episode_steps=10**5)
+    graph.start('flock_sim', n_sheep=SHEEP, n_shepherds=TEAM, episode_steps=10**5, rate=50.0)
     track = graph.track()
     graph.until(lambda: len(track.stamps) > 2, 'the world moves')
     graph.forget(track)

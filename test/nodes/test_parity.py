@@ -49,10 +49,8 @@ def run_whole(
 @pytest.mark.parametrize(
     ('controller', 'flock'),
     [
-        ('strombom', 'strombom'),
         ('strombom', 'reynolds'),
         ('pierson', 'strombom'),
-        ('pierson', 'reynolds'),
         ('idle', 'strombom'),
         ('random', 'strombom'),
     ],
@@ -67,8 +65,7 @@ def test_fifty_steps_over_topics_are_fifty_calls_of_env_step(
     run_whole(graph, track, states, controller)
 
 
-@pytest.mark.parametrize('noise_std', [0.0, 0.5])
-@pytest.mark.parametrize('executor', ['single', 'events'])
+@pytest.mark.parametrize(('noise_std', 'executor'), [(0.0, 'single'), (0.5, 'events')])
 def test_scans_and_metrics_over_topics_are_those_of_the_core(
     graph: Graph, noise_std: float, executor: str
 ) -> None:

@@ -59,7 +59,6 @@ def seeds(place: Path) -> Path:
     return folder
 
 
-@pytest.mark.timeout(300)
 def test_damaged_files_end_in_words(place: Path, seeds: Path) -> None:
     work = place / 'work'
     work.mkdir()
