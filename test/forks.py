@@ -13,6 +13,7 @@ from contextlib import contextmanager
 import ctypes
 import json
 import multiprocessing as mp
+from multiprocessing.forkserver import _forkserver  # type: ignore[attr-defined]
 import os
 from pathlib import Path
 import runpy
@@ -69,9 +70,15 @@ def forked_commands() -> Iterator[Path]:
             server.join()
 
 
+def die_with_tests() -> None:
+    """Let this fork end when the process of the tests ends, in whatever way."""
+    ctypes.CDLL(None).prctl(DIE_WITH_PARENT, signal.SIGKILL)
+    os.close(_forkserver._forkserver_alive_fd)  # type: ignore[attr-defined]
+
+
 def _serve(listener: socket.socket) -> None:
     """Fork for each client, for ever."""
-    ctypes.CDLL(None).prctl(DIE_WITH_PARENT, signal.SIGKILL)
+    die_with_tests()
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody asks how those ended
     while True:
         client, _ = listener.accept()

@@ -50,8 +50,8 @@ def test_every_verb_that_is_named_is_there() -> None:
     assert thin == set(VERBS)
 
 
-def test_a_mistake_ends_in_words_and_not_in_a_traceback(tmp_path: Path) -> None:
-    command = [sys.executable, str(SCRIPTS / 'train_bc.py'), '--out', 'x']
+def test_a_mistake_ends_in_words_and_not_in_a_traceback(commands: Path, tmp_path: Path) -> None:
+    command = [commands / 'python', SCRIPTS / 'train_bc.py', '--out', 'x']
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 2
     assert re.match(r'shepherd: .*expected', done.stderr)

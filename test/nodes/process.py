@@ -8,7 +8,6 @@ runs the installed script as a shell would. With fresh=True a new Python runs it
 from __future__ import annotations
 
 from collections.abc import Callable
-import ctypes
 from dataclasses import dataclass, field
 import faulthandler
 from itertools import pairwise
@@ -24,7 +23,7 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from forks import DIE_WITH_PARENT, FORKS
+from forks import die_with_tests, FORKS
 from geometry_msgs.msg import PoseArray, TwistStamped
 from rcl_interfaces.msg import Log
 from rcl_interfaces.srv import SetParameters
@@ -93,7 +92,7 @@ def _run(
 ) -> None:
     """Become the executable, in a process group of its own."""
     os.setsid()
-    ctypes.CDLL(None).prctl(DIE_WITH_PARENT, SIGKILL)
+    die_with_tests()
     with output.open('ab', buffering=0) as sink:
         os.dup2(sink.fileno(), 1)
         os.dup2(sink.fileno(), 2)

@@ -161,15 +161,15 @@ def recorded(
     """Return a bag of a stack in which lidar, policy, metrics and recorder have the plug-ins."""
     graph, bag = shared_graph, tmp_path_factory.mktemp('bag') / 'bag'
     with named():
-        recorder = graph.start_words('recorder', ['-o', str(bag)], fresh=True)
+        recorder = graph.start_words('recorder', ['-o', str(bag)])
         graph.until_says(recorder, 'listening')
         flock = graph.start('flock_sim', n_sheep=5, n_shepherds=2, episode_steps=STEPS, episodes=1)
         assert graph.call('/flock_sim/pause', SetBool, SetBool.Request(data=True)).success
         rays = {'n_rays': 512, 'others': 'posts'}
-        graph.start('lidar', fresh=True, shepherd_ids=[0, 1], **rays)
-        graph.start('metrics', fresh=True)
+        graph.start('lidar', shepherd_ids=[0, 1], **rays)
+        graph.start('metrics')
         checkpoint = str(trained[0] / 'best.safetensors')
-        graph.start('policy', fresh=True, shepherd_ids=[0, 1], checkpoint=checkpoint)
+        graph.start('policy', shepherd_ids=[0, 1], checkpoint=checkpoint)
     late = [f'/shepherd_{i}/{topic}' for i in (0, 1) for topic in ('scan/posts', 'cmd_vel')]
     for topic in ('/metrics/most_near', *late):
         graph.until_says(recorder, f'recording {topic} ')
@@ -223,7 +223,7 @@ def test_a_policy_names_the_channel_that_no_lidar_has(
 ) -> None:
     with named():
         checkpoint = str(trained[0] / 'best.safetensors')
-        policy = graph.start('policy', fresh=True, checkpoint=checkpoint)
+        policy = graph.start('policy', checkpoint=checkpoint)
     graph.start('lidar')
     graph.start('flock_sim', n_sheep=5, n_shepherds=1)
     graph.until_says(policy, 'no lidar publishes shepherd_0/scan/posts')
