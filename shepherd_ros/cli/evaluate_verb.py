@@ -75,7 +75,7 @@ class Evaluate(ManySettings):
             for task in plan(e.settings, e.controllers, self.seed, e.episodes)
         }
         own_tasks = shard_of(list(tasks.values()), self.shard or f'{rank() + 1}/{ranks()}')
-        claimed_folder('--out', self.out, '*.parquet *.md', self.overwrite)
+        claimed_folder('--out', self.out, '*.md *.parquet */*.parquet */.*.part', self.overwrite)
         rows = results_in(self.out)
         barrier()  # a file that is read is not replaced meanwhile
         finished = done_of(own_tasks, rows)

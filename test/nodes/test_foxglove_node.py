@@ -166,7 +166,7 @@ def test_foxgloves_decoders_read_every_topic(
         *(f'/shepherd_{h}/scan/{c}' for h in range(TEAM) for c in ('goal', 'sheep', 'shepherds')),
     ]  # fmt: skip
     command = ['node', 'read.cjs', servers['closed'], *topics]
-    done = subprocess.run(command, cwd=decoders, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, cwd=decoders, capture_output=True, text=True, timeout=150)
     read = json.loads(done.stdout)
     assert (read['error'], read['missing']) == ('', []), shared_graph.processes[0]
     got = {topic: about['message'] for topic, about in read['topics'].items()}

@@ -17,8 +17,8 @@ function plain(key, value) {
 }
 
 function finish(error) {
-  console.log(JSON.stringify({ topics, error, missing: wanted.filter((t) => !topics[t]) }, plain));
-  process.exit(0);
+  const said = { topics, error, missing: wanted.filter((t) => !topics[t]) };
+  process.stdout.write(JSON.stringify(said, plain), () => process.exit(0)); // once it is read
 }
 
 client.on('error', (error) => finish(String(error)));
@@ -33,4 +33,4 @@ client.on('message', ({ subscriptionId, data }) => {
   topics[channel.topic] = { type: channel.schemaName, message: reader.readMessage(data) };
   if (wanted.every((topic) => topics[topic])) finish('');
 });
-setTimeout(() => finish('not within 25 s'), 25000);
+setTimeout(() => finish('not within 100 s'), 100000);
