@@ -277,6 +277,7 @@ def test_what_is_between_chunks_is_read_with_suspicion(tmp_path: Path) -> None:
     assert with_record(0x0F, bytes(3)) == (everything, 12, 1)  # it has a checksum of four bytes
     index = struct.pack('<HI', 1, 16)
     assert with_record(0x07, index + bytes(16)) == (everything, 0, 0)
+    assert with_record(0x07, index + bytes(17)) == (everything, 0, 0)  # of a later version
     assert with_record(0x07, index + bytes(15)) == (everything, 9 + 6 + 15, 1)
     assert with_record(0x07, struct.pack('<HI', 1, 10) + bytes(2)) == (everything, 9 + 8, 1)
     assert with_record(0x09, b'abc') == (everything, 3, 0)  # an attachment
