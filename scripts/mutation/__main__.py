@@ -217,7 +217,7 @@ def main() -> None:
     parser.add_argument('rooms', nargs='*', help=f'some of {", ".join(TESTS)}')
     parser.add_argument('--sample', type=int, default=200, help='mutants of each room')
     parser.add_argument('--seed', type=int, default=0)
-    parser.add_argument('--budget', type=float, default=20.0, help='seconds of CPU for a mutant')
+    parser.add_argument('--budget', type=float, default=30.0, help='seconds of CPU for a mutant')
     parser.add_argument('--out', type=Path, default=ROOT / 'out' / 'mutation')
     options = parser.parse_args()
     unknown = set(options.rooms) - TESTS.keys()

@@ -19,7 +19,7 @@ import pytest
 PR_SET_PDEATHSIG = 1  # of Linux: a fork ends with its parent
 Item = pytest.Item
 Items = dict[str, Item]
-SLOWEST = 3.0  # [s] of CPU; longer tests kill no mutants
+SLOWEST = 20.0  # [s] of CPU; longer tests kill no mutants
 
 
 def options() -> list[str]:
