@@ -87,10 +87,10 @@ def test_what_ends_too_early_is_refused() -> None:
 
 
 def test_a_text_longer_than_its_message_is_told_in_numbers() -> None:
-    raw = b'\0\1\0\0' + struct.pack('<I', 9) + b'map\0'
-    with pytest.raises(CdrError, match=r'^12 bytes, a text of 9 bytes, where 4 are left$'):
+    raw = b'\0\1\0\0' + struct.pack('<I', 99) + b'odometry\0'
+    with pytest.raises(CdrError, match=r'^17 bytes, a text of 99 bytes, where 9 are left$'):
         decode_string(raw)
-    assert decode_string(raw[:4] + struct.pack('<I', 4) + b'map\0') == 'map'
+    assert decode_string(raw[:4] + struct.pack('<I', 9) + raw[8:]) == 'odometry'
 
 
 def test_stamps_before_the_epoch_do_not_wrap() -> None:

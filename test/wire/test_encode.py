@@ -189,7 +189,8 @@ def test_the_goal_is_a_pose_with_its_stamp_and_frame() -> None:
     assert (point.x, point.y, point.z) == (1.5, -2.25, 0.0)
     assert message.header.frame_id == 'field'
     assert nanoseconds(message.header.stamp) == NS
-    assert message.pose.orientation.w == 1.0
+    turn = message.pose.orientation
+    assert (turn.x, turn.y, turn.z, turn.w) == (0.0, 0.0, 0.0, 1.0)
 
 
 def test_a_command_is_a_stamped_velocity_in_the_plane() -> None:

@@ -54,6 +54,7 @@ def test_an_episode_begins_at_seconds_and_nanoseconds_and_has_one_step_at_least(
 def test_steps_of_an_episode_are_counted_from_its_first_stamp() -> None:
     episode = episode_of()  # 1000 steps of 0.5 s from 7.5 s on
     assert episode.dt_ns == 500_000_000
+    assert episode_of('one_second').dt_ns == 1_000_000_000
     assert episode.step_of(7_500_000_000) == 0
     assert episode.step_of(8_000_000_000) == 1
     assert episode.has(7_500_000_000)

@@ -14,6 +14,7 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.resources import share_file
 from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.presets import PRESETS, world_preset
+from shepherd_ros.wire.contract import topic_hashes
 from shepherd_ros.wire.episode import Episode
 from shepherd_ros.wire.schemas import (
     dependencies,
@@ -24,7 +25,7 @@ from shepherd_ros.wire.schemas import (
     schema_text,
     wire_types,
 )
-from shepherd_ros.wire.topics import contract
+from shepherd_ros.wire.topics import contract, families
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -246,6 +247,13 @@ def test_names_are_unique_and_every_profile_is_used_and_known():
     topics, profiles = contract()
     assert list(topics) == list(names)
     assert {row.profile for row in topics.values()} == set(profiles)
+
+
+def test_each_topic_and_family_has_a_hash_of_its_own():
+    hashes = topic_hashes()
+    assert hashes.keys() == contract()[0].keys() | families().keys()
+    assert len(set(hashes.values())) == len(hashes)
+    assert {len(text) for text in hashes.values()} == {12}
 
 
 def test_files_are_found_from_the_package():
