@@ -44,7 +44,7 @@ BY_HAND = (0.25, -0.5)  # m/s
 def bag(shared_graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record an episode in which keys drive shepherd_1 from about a third to two thirds of it."""
     graph, folder = shared_graph, tmp_path_factory.mktemp('taken') / 'bag'
-    recorder = graph.start_words('recorder', ['-o', str(folder), '-x', '/diagnostics'])
+    recorder = graph.start_words('recorder', ['-v', '-o', str(folder), '-x', '/diagnostics'])
     graph.until_says(recorder, 'listening')
     world = {'n_sheep': 4, 'n_shepherds': 2, 'episode_steps': STEPS, 'episodes': 1}
     sim = graph.host('flock_sim', wait_for_scans=True, **world)

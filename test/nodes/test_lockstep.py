@@ -164,7 +164,7 @@ def test_nodes_that_join_a_paused_world_late_get_its_state(graph: Graph) -> None
     assert track.stamps == [sim.now_ns]
     assert int(sim.state.step) == step
     assert int(metrics.moment.state.step) == step
-    graph.until_status('metrics: metrics', 'steps of this episode were missed')
+    graph.until_status('metrics: metrics', 'states of this episode were missed')
     graph.end(idle)
 
 

@@ -161,7 +161,7 @@ def recorded(
     """Return a bag of a stack in which lidar, policy, metrics and recorder have the plug-ins."""
     graph, bag = shared_graph, tmp_path_factory.mktemp('bag') / 'bag'
     with named():
-        recorder = graph.start_words('recorder', ['-o', str(bag)])
+        recorder = graph.start_words('recorder', ['-v', '-o', str(bag)])
         graph.until_says(recorder, 'listening')
         flock = graph.start('flock_sim', n_sheep=5, n_shepherds=2, episode_steps=STEPS, episodes=1)
         assert graph.call('/flock_sim/pause', SetBool, SetBool.Request(data=True)).success

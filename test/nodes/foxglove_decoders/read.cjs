@@ -16,7 +16,11 @@ function plain(key, value) {
   return typeof value === 'bigint' ? Number(value) : value;
 }
 
+let finished = false;
+
 function finish(error) {
+  if (finished) return;
+  finished = true;
   const said = { topics, error, missing: wanted.filter((t) => !topics[t]) };
   process.stdout.write(JSON.stringify(said, plain), () => process.exit(0)); // once it is read
 }
