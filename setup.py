@@ -90,6 +90,8 @@ setup(
             'jsonschema',
             'mcap-ros2-support',
             'mypy',
+            'onnx',
+            'onnxruntime',
             'pandas',
             'pytest<9',
             'pytest-timeout',
