@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, TYPE_CHECKING
 
 from shepherd_ros.cli.out_folders import claimed_folder
+from shepherd_ros.cli.progress import progress
 from shepherd_ros.cli.user_error import UserError
 import tyro
 
@@ -63,7 +64,11 @@ class Figures:
         known = [name for name in rows.distinct('controller') if name.startswith('policy:')]
         named = [full_name(f'policy:{checkpoint}') for checkpoint in self.checkpoints]
         critics = [name for name in dict.fromkeys(named or known) if has_critic(name)]
-        pictures = {name: draw(found) for name, found in samples.items()}
+        pictures = {}
+        with progress('drawing', len(samples)) as show:
+            for done, (name, found) in enumerate(samples.items()):
+                show(done, text=name)
+                pictures[name] = draw(found)
         if (summary := draw_summary(samples.values())) is not None:
             pictures['summary'] = summary
         if curves:

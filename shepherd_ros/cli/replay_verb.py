@@ -11,6 +11,7 @@ from typing import Annotated, TYPE_CHECKING
 
 from shepherd_ros.cli.controllers import Chosen, chosen
 from shepherd_ros.cli.processes import isolate, running
+from shepherd_ros.cli.progress import progress, Show
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.resources import executable_path
 import tyro
@@ -63,10 +64,11 @@ class Replay:
         if self.without_ros or asked.of_core or executable_path(self.controller) is None:
             asked.config()  # refuses what cannot be
         result = Comparison(self.tolerance, self.shepherds)
-        if self.without_ros:
-            self._ask_law(asked, result)
-        else:
-            self._ask_node(asked, result)
+        with progress('comparing') as show:
+            if self.without_ros:
+                self._ask_law(asked, result, show)
+            else:
+                self._ask_node(asked, result, show)
         print(f'{self.controller} on {self.bag}')
         print(result.text())
         return 0 if result.ok else _EXIT_DIFFERENT
@@ -102,7 +104,7 @@ class Replay:
                 f'`shepherd bag info {self.bag}` lists them'
             )
 
-    def _ask_law(self, asked: Chosen, result: Comparison) -> None:
+    def _ask_law(self, asked: Chosen, result: Comparison, show: Show) -> None:
         """Compare what the law says."""
         from shepherd_ros.recordings.replay import states_of
         from shepherd_ros.recordings.replay_check import law_commands
@@ -113,8 +115,9 @@ class Replay:
             answers = law_commands(states_of(episode, frames), controller, asked.noise_std)
             for frame, (_, command) in zip(frames, answers, strict=True):
                 result.add(episode, frame, dict(enumerate(command.double().numpy())))
+                show(result.compared, text='commands')
 
-    def _ask_node(self, asked: Chosen, result: Comparison) -> None:
+    def _ask_node(self, asked: Chosen, result: Comparison, show: Show) -> None:
         """Compare what the node says."""
         isolate(os.environ)
         try:  # now, as rclpy reads the environment when it is imported
@@ -142,6 +145,7 @@ class Replay:
                         answers = probe.request_commands(frame, raw, wanted, processes.check)
                         silent |= wanted - answers.keys()  # not waited for again
                     result.add(episode, frame, answers)
+                    show(result.compared, text='commands')
 
     def _team(self) -> list[int]:
         """Return the shepherds that the node shall command."""

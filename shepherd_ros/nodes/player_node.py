@@ -26,6 +26,7 @@ from std_srvs.srv import SetBool, Trigger
 NS_PER_SECOND = 1_000_000_000  # [ns]
 PLAYER_ACK_TIMEOUT = 4.0  # [s] for readers to miss what did not arrive: DDS asks them every 3 s
 MIN_LOOP_PERIOD = 0.1  # [s] of --loop: a bag may have one message
+PROGRESS_PERIOD = 10.0  # [s] between two lines about how far the bag is played
 LATCHED_LEAD = 0.2  # [s] that readers get to know the topics before the first message
 
 
@@ -68,9 +69,8 @@ class Player(ShepherdNode):
         self.played = 0
         self.lateness: list[float] = []  # [s] of each message
         self.current_ns = self.next_ns = self.bag.start_ns  # of the last and the next message
-        self.started = self.paused = (
-            0.0  # [s] wall times: of the start, later by pauses; of a pause
-        )
+        # wall times [s]: of the start, later by pauses; of a pause
+        self.started = self.paused = 0.0
         self.steps = 0
         self.running = Event()
         if not options.start_paused:
@@ -80,6 +80,7 @@ class Player(ShepherdNode):
         self.create_service(SetBool, '~/pause', self.pause)
         self.option('step_size', 1, 'messages that ~/step plays', read_only=False, low=1)
         self.create_service(Trigger, '~/step', self.step)
+        self.timer(PROGRESS_PERIOD, self.report_progress)
         self.thread = Thread(target=self.play, daemon=True)
         self.thread.start()
 
@@ -205,6 +206,13 @@ class Player(ShepherdNode):
                 'player', OK, state, bag=self.bag.path, messages=self.played, seconds=elapsed
             )
         ]
+
+    def report_progress(self) -> None:
+        """Log how far the bag is played."""
+        done, total = (
+            (ns - self.bag.start_ns) / NS_PER_SECOND for ns in (self.current_ns, self.bag.end_ns)
+        )
+        self.get_logger().info(f'{done:.0f} of {total:.0f} s, {self.played} messages')
 
     def end(self) -> int:
         """Stop the thread, print counts and latencies, and return the exit code."""

@@ -83,11 +83,13 @@ def test_what_cannot_be_played_is_skipped_and_the_rest_is_played(
 
 
 def test_the_clock_goes_on_between_messages_and_stands_in_a_pause(
-    shared_graph: Graph, tmp_path: Path
+    shared_graph: Graph, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     bag = bag_of(tmp_path / 'bag', {'/x': [(0, 'a'), (20 * SECOND, 'b')]})
     with playing(shared_graph, bag, clock=50.0) as player:
         shared_graph.until(lambda: player.played == 1, 'the first message')
+        player.report_progress()
+        assert '0 of 20 s, 1 messages' in ''.join(capfd.readouterr())
         seen = []
         for _ in range(4):
             seen.append(player.bag_time())

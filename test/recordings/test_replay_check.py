@@ -53,11 +53,18 @@ def replay(capsys: pytest.CaptureFixture[str]) -> Callable[..., Said]:
 
 @pytest.mark.parametrize('controller', ['strombom', 'pierson', 'idle', 'random'])
 def test_the_same_law_says_the_same(
-    controller: str, tmp_path: Path, replay: Callable[..., Said]
+    controller: str,
+    tmp_path: Path,
+    replay: Callable[..., Said],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     bag = recorded(tmp_path, controller)
+    monkeypatch.setattr('shepherd_ros.cli.progress.LINE_PERIOD', 0.0)
     code, out, err = replay(bag, '--controller', controller, '-p', f'noise_std:={NOISE}')
-    assert (code, err) == (0, '')
+    commands = [int(line.split()[1]) for line in err.splitlines()]  # comparing: N commands
+    assert commands and commands == sorted(commands)
+    assert f'{commands[-1]} commands of 1 episodes compared' in out
+    assert code == 0
     assert EVERY in out
     assert 'difference: 0 m/s at most, 0 m/s on average' in out
     assert out.endswith('\nequal\n')
