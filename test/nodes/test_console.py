@@ -491,6 +491,16 @@ def test_values_of_places_while_they_are_wanted(
 # --- everything ---------------------------------------------------------------------------------
 
 
+def children_of(parent: int) -> list[int]:
+    """Return the processes that a process has started."""
+    pids = []
+    for path in Path('/proc').glob('[0-9]*/stat'):
+        with suppress(OSError):  # it has ended meanwhile
+            if int(path.read_text().rpartition(')')[2].split()[1]) == parent:
+                pids.append(int(path.parent.name))
+    return pids
+
+
 def test_one_command_starts_everything_and_ends_it(graph: Graph, tmp_path: Path) -> None:
     words = '--controller idle --standby strombom --sheep 8 --shepherds 2 --port 0 --record-dir'
     process = graph.start_words('shepherd', ['console', *words.split(), str(tmp_path)])
@@ -502,5 +512,7 @@ def test_one_command_starts_everything_and_ends_it(graph: Graph, tmp_path: Path)
     ask(graph, opened, 'driver', shepherd=1, source='strombom')
     graph.until(lambda: opened.last('drivers')['drivers'][1] == 'strombom', 'another drives')
     opened.close()
+    started = children_of(process.pid)
+    assert len(started) >= 6  # world, lidar, metrics, mux, console, controllers
     assert process.stop() == 0
-    graph.until(lambda: graph.node.get_node_names() == ['probe'], 'all have ended')
+    graph.until(lambda: not any(Path(f'/proc/{pid}').exists() for pid in started), 'all ended')
