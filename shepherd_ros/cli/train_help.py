@@ -21,6 +21,7 @@ COMMON = {  # of all trainings: default and meaning
 }
 BAGS = 'bags, folders of bags, or data sets of `shepherd dataset build`'
 _TITLES = {
+    'evaluation': 'Evaluation: how the policy that is kept is chosen',
     'task': 'Episodes: evenly drawn between -min and -max',
     'reward': 'Reward',
     'anneal': 'Pace: actions are held for ever shorter',

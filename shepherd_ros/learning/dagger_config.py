@@ -8,6 +8,7 @@ from shepherd_ros.config import Config, option, part
 from shepherd_ros.experiments.methods import full_name
 from shepherd_ros.learning.clone import CloneConfig
 from shepherd_ros.learning.task import TaskConfig
+from shepherd_ros.learning.validation import EvaluationConfig
 
 
 @dataclass(frozen=True)
@@ -32,9 +33,8 @@ class DaggerConfig(Config):
     teacher_groups: int = option(1, 'groups that the teacher always drives', low=0)
     buffer_size: int = option(200_000, 'examples that are kept, the newest', low=1)
     eval_freq: int = option(10, 'rounds from one evaluation to the next', low=1)
-    eval_episodes: int = option(32, 'episodes of an evaluation', low=2)
-    eval_steps: int = option(1000, 'steps of these episodes', low=1)
     bag_folder: str = option('', 'folder for bags of all that is driven, with labels; empty: none')
+    evaluation: EvaluationConfig = part(EvaluationConfig)
     task: TaskConfig = part(TaskConfig)
     clone: CloneConfig = part(CloneConfig)
 

@@ -166,10 +166,29 @@ class RunFolder:
         """Keep a policy if its score is the best so far; return the results as part of a line."""
         if results['score'] > self.best_score:
             self.best_score = results['score']
-            results_record = {'progress': dict(progress), 'eval': dict(results)}
-            with writing(self.best):
-                save_policy(self.best, policy, self.record | results_record)
+            self._save(self.best, policy, results, progress)
         return {f'eval/{name}': value for name, value in results.items()}
+
+    def keep_evaluated(
+        self, policy: Policy, results: Mapping[str, float], progress: Mapping[str, Any]
+    ) -> None:
+        """Keep a policy as evaluated/UPDATES.safetensors, whatever its score."""
+        path = self.folder / 'evaluated' / f'{int(progress["updates"]):06d}.safetensors'
+        with writing(path):
+            path.parent.mkdir(exist_ok=True)
+        self._save(path, policy, results, progress)
+
+    def _save(
+        self,
+        path: Path,
+        policy: Policy,
+        results: Mapping[str, float],
+        progress: Mapping[str, Any],
+    ) -> None:
+        """Write a policy with its results and the progress of the run."""
+        results_record = {'progress': dict(progress), 'eval': dict(results)}
+        with writing(path):
+            save_policy(path, policy, self.record | results_record)
 
     def write(self, line: Mapping[str, Any]) -> None:
         """Add a line to the curve, and its numbers to TensorBoard."""

@@ -16,6 +16,7 @@ from shepherd_ros.learning.clone import CloneConfig, CloneLearner, Examples
 from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.training_loop import TrainingLoop
+from shepherd_ros.learning.validation import EvaluationConfig
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.observation import rotate_by_ray
@@ -33,13 +34,12 @@ class BCConfig(Config):
     replay_ratio: float = option(
         1.0, 'times that an example is learned from in an epoch', low=0.01
     )
-    eval_episodes: int = option(32, 'episodes of the evaluation after an epoch', low=2)
-    eval_steps: int = option(1000, 'steps of these episodes', low=1)
     labels: str = option('', 'namespace of the commands to learn; empty: those that were driven')
     drivers: str = option(
         '', 'sources of mux whose steps are learned, such as keys or keys,joy; empty: all',
         sparse=True,
     )  # fmt: skip
+    evaluation: EvaluationConfig = part(EvaluationConfig)
     task: TaskConfig = part(TaskConfig)
     clone: CloneConfig = part(CloneConfig)
 

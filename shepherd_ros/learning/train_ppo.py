@@ -20,6 +20,7 @@ from shepherd_ros.learning.ppo_rollout import Rollout
 from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.training_loop import TrainingLoop
+from shepherd_ros.learning.validation import EvaluationConfig
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.rng import mixed_seeds
@@ -37,8 +38,7 @@ class PPORunConfig(Config):
     decisions: int = option(24, 'decisions of each shepherd between updates', low=1)
     critic_warmup: int = option(0, 'updates in which only the critic learns', low=0)
     eval_freq: int = option(10, 'updates from one evaluation to the next', low=1)
-    eval_episodes: int = option(32, 'episodes of an evaluation', low=2)
-    eval_steps: int = option(1000, 'steps of these episodes', low=1)
+    evaluation: EvaluationConfig = part(EvaluationConfig)
     task: TaskConfig = part(TaskConfig)
     anneal: AnnealConfig = part(AnnealConfig)
     ppo: PPOConfig = part(PPOConfig)

@@ -12,7 +12,7 @@ import torch
 class Trainer(Protocol):
     """A trainer that runs update by update, and resumes from a state."""
 
-    config: Any  # with eval_episodes, eval_steps and the task
+    config: Any  # with the evaluation and the task
     eval_freq: int  # updates from one evaluation to the next
     policy: Policy
     dtype: torch.dtype

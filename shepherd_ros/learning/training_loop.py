@@ -81,11 +81,11 @@ class TrainingLoop:
             self.saved, config, policy = True, self.trainer.config, self.trainer.averaged()
             if self.signal:
                 self._exit()
-            results = validate(
-                policy, config.task, config.eval_episodes, config.eval_steps, self.trainer.dtype
-            )
+            results = validate(policy, config.task, config.evaluation, self.trainer.dtype)
             self.saved = False
             line |= self.run.keep_best(policy, results, line)
+            if config.evaluation.keep_evaluated:
+                self.run.keep_evaluated(policy, results, line)
         self.run.write(line)
         self.on_line(line)
 

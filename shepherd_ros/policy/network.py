@@ -40,7 +40,8 @@ def fast_dtype(device: torch.device | None = None) -> torch.dtype:
     """Return bfloat16 if the device (None: the CPU) has matrix products of it, else float32."""
     if device is not None and device.type == 'cuda':
         return torch.bfloat16
-    return torch.bfloat16 if torch.cpu._is_amx_tile_supported() else torch.float32
+    has_products = torch.cpu._is_amx_tile_supported() or torch.cpu._is_avx512_bf16_supported()
+    return torch.bfloat16 if has_products else torch.float32
 
 
 def weights(layer: nn.Conv1d) -> tuple[Tensor, Tensor]:

@@ -24,6 +24,7 @@ from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.train_bc import BCConfig, train_bc
 from shepherd_ros.learning.train_ppo import PPORunConfig, train_ppo
+from shepherd_ros.learning.validation import EvaluationConfig
 from shepherd_ros.policy.checkpoint import load_policy, read_checkpoint_metadata
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
@@ -44,17 +45,18 @@ POLICY = PolicyConfig(
 )
 TASK = TaskConfig(sheep_min=4, sheep_max=8, shepherds_max=3, episode_steps=20)
 CLONE = CloneConfig(batch_size=8, updates_per_round=3)
+EVALUATION = EvaluationConfig(eval_episodes=2, eval_steps=6)
 CONFIGS: dict[str, Config] = {
     'ppo': PPORunConfig(
-        samples=300, groups=2, worlds=2, decisions=6, eval_freq=2, eval_episodes=2, eval_steps=6,
+        samples=300, groups=2, worlds=2, decisions=6, eval_freq=2, evaluation=EVALUATION,
         task=TASK, ppo=PPOConfig(minibatch_size=16),
     ),
     'dagger': DaggerConfig(
         rounds=6, teacher_rounds=2, steps_per_round=7, example_interval=2, groups=2, worlds=2,
-        buffer_size=90, eval_freq=3, eval_episodes=2, eval_steps=6, task=TASK, clone=CLONE,
+        buffer_size=90, eval_freq=3, evaluation=EVALUATION, task=TASK, clone=CLONE,
     ),
     'bc': BCConfig(
-        epochs=3, buffer_size=50, eval_episodes=2, eval_steps=6, task=TASK, clone=CLONE
+        epochs=3, buffer_size=50, evaluation=EVALUATION, task=TASK, clone=CLONE
     ),
 }  # fmt: skip
 KINDS = sorted(CONFIGS)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 from shepherd_ros.learning.task import TaskConfig
-from shepherd_ros.learning.validation import validate, validation_sizes
+from shepherd_ros.learning.validation import EvaluationConfig, validate, validation_sizes
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.lidar import LidarConfig
@@ -18,12 +18,13 @@ def test_a_judgement_over_both_flocks_and_three_sizes_is_the_mean_of_the_six() -
     network = NetworkConfig(filters_1=2, filters_2=2, hidden=4)
     policy = Policy(PolicyConfig(lidar=LidarConfig(n_rays=64), network=network))
     task = TaskConfig(flock='both', sheep_min=4, sheep_max=25, sheep_scale='log')
-    whole = validate(policy, task, 12, 5, torch.float32)
+    noisy = EvaluationConfig(eval_episodes=24, eval_steps=5, eval_noise=1.5)
+    whole = validate(policy, task, noisy, torch.float32)
     parts = [
         validate(
             policy,
             replace(task, flock=flock, sheep_scale='linear', sheep_min=n, sheep_max=n),
-            2, 5, torch.float32,
+            EvaluationConfig(eval_episodes=4, eval_steps=5, eval_noise=1.5), torch.float32,
         )
         for flock in ('strombom', 'reynolds')
         for n in (4, 10, 25)
@@ -31,6 +32,8 @@ def test_a_judgement_over_both_flocks_and_three_sizes_is_the_mean_of_the_six() -
     for name, value in whole.items():
         assert value == pytest.approx(sum(part[name] for part in parts) / 6, rel=1e-5), name
     assert len({part['return'] for part in parts}) == 6
+    quiet = replace(noisy, eval_episodes=12, eval_noise=0.0)
+    assert validate(policy, task, quiet, torch.float32)['return'] != whole['return']
 
 
 @pytest.mark.parametrize(

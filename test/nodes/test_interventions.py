@@ -19,6 +19,7 @@ from shepherd_ros.datasets.lerobot_format import EPISODES_PATH
 from shepherd_ros.learning import train_bc as training
 from shepherd_ros.learning.clone import CloneConfig, Examples
 from shepherd_ros.learning.run_folder import RunFolder
+from shepherd_ros.learning.validation import EvaluationConfig
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.recordings.check import check_bag
@@ -163,7 +164,10 @@ def test_cloning_learns_from_the_persons_steps_alone(
 
     monkeypatch.setattr(Examples, 'add', counted)
     config = training.BCConfig(
-        epochs=1, eval_episodes=2, eval_steps=2, drivers='keys', clone=CloneConfig(batch_size=4)
+        epochs=1,
+        evaluation=EvaluationConfig(eval_episodes=2, eval_steps=2),
+        drivers='keys',
+        clone=CloneConfig(batch_size=4),
     )
     run = RunFolder(tmp_path / 'run', {'config': {'policy': POLICY, 'run': config}})
     report = training.train_bc(Policy(POLICY), [bag], config, run)
