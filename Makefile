@@ -25,9 +25,9 @@ console: $(VENV)/.demo  # everything runs until Ctrl-C, with a page in the brows
 	$(BIN)/shepherd console --controller $(CONTROLLER) --sheep $(SHEEP) --shepherds $(SHEPHERDS) \
 	  --flock $(FLOCK) --preset $(PRESET) --seed $(SEED) --steps $(STEPS) --port $(PORT)
 
-# Four workers also on two cores, as tests of nodes wait; what one compiles serves all.
+# Three workers also on two cores, as tests of nodes wait; what one compiles serves all.
 test: setup browser  # all tests
-	env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n 4 --dist loadgroup
+	env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n 3 --dist loadgroup
 
 help:  # this list
 	@sed -n 's/^\([a-z-]*\):[^#]*  # /\1: /p' $(MAKEFILE_LIST)
@@ -68,7 +68,7 @@ browser:  # Chromium, in which the tests look at pages, and Node.js, with which 
 generate: setup  # every committed file that follows from code: schemas, parameters, cards, reference
 	$(BIN)/python scripts/generate.py
 
-lint: setup
+lint: setup  # ruff, import-linter, mypy, codespell
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/lint-imports --no-cache && \
 	  $(BIN)/mypy && $(BIN)/codespell
 

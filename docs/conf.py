@@ -6,6 +6,8 @@ import shutil
 import sys
 import xml.etree.ElementTree as ET
 
+from sphinx.errors import ExtensionError
+
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 shutil.rmtree(ROOT / 'docs/reference/api', ignore_errors=True)  # pages of modules that moved
@@ -45,6 +47,16 @@ def plain(app, what, name, obj, options, lines):
     lines[:] = re.sub(r'(?<!`)([*|_])(?!`)', r'\\\1', text.replace('\\', r'\\')).split('\n')
 
 
+def call_no_other_host(app, exception):
+    """Refuse a page whose pictures, styles or programs are those of another host."""
+    called = re.compile(r'<img[^>]*src="(?:http|//)|<(?:script|link)[^>]*="(?:http|//)[^>]*')
+    pages = [] if exception else Path(app.outdir).rglob('*.html')
+    for page in pages:
+        if found := called.search(page.read_text(encoding='utf-8')):
+            raise ExtensionError(f'{page}: {found[0]!r}; expected a file of the manual')
+
+
 def setup(app):
-    """Read docstrings as plain text."""
+    """Read docstrings as plain text; look at the pages that were written."""
     app.connect('autodoc-process-docstring', plain)
+    app.connect('build-finished', call_no_other_host)

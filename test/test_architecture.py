@@ -6,7 +6,7 @@ import ast
 from collections import defaultdict
 from collections.abc import Iterator
 from functools import cache
-from importlib import import_module, util
+from importlib import import_module
 from importlib.metadata import EntryPoint
 from pathlib import Path
 import re
@@ -219,24 +219,6 @@ def test_files_name_no_place_of_one_machine_and_leave_nothing_to_do() -> None:
         assert markers.findall(text) == [], short(path)
 
 
-@pytest.mark.parametrize(
-    ('module', 'arguments'),
-    [
-        ('ruff', ['check', '.']),
-        ('ruff', ['format', '--check', '.']),
-        ('codespell_lib', []),
-        ('mypy', []),
-    ],
-    ids=['ruff-check', 'ruff-format', 'codespell', 'mypy'],
-)
-def test_linters_are_content(module: str, arguments: list[str]) -> None:
-    if util.find_spec(module) is None:
-        pytest.skip(f'{module} is not installed')
-    command = [sys.executable, '-m', module, *arguments]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
 # ---- manifest and setup ----
 
 
@@ -339,7 +321,14 @@ def test_hooks_and_workflow_are_what_they_seem() -> None:
     assert ids == {'ruff-check', 'ruff-format', 'codespell', 'large-files'}
     workflow = yaml.safe_load((ROOT / '.github/workflows/ci.yml').read_text(encoding='utf-8'))
     steps = workflow['jobs']['test']['steps']
-    assert steps[-1] == {'run': 'make test'}
+    commands = [f'make {target}' for target in ('lint', 'docs', 'test')]
+    assert [step['run'] for step in steps if 'run' in step] == commands
+    script = (ROOT / '.ci/run').read_text(encoding='utf-8').splitlines()
+    assert [line for line in script if line.startswith('make')] == commands
+    lint = (ROOT / 'Makefile').read_text(encoding='utf-8').partition('\nlint: ')[2]
+    rules = lint.partition('\n\n')[0]
+    for linter in ('ruff check', 'ruff format --check', 'lint-imports', 'mypy', 'codespell'):
+        assert f'/{linter}' in rules, linter
 
 
 SAME_ROLE = {'main'}  # of an executable

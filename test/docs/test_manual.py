@@ -21,6 +21,8 @@ LINES = sorted(
     {(path.name, line) for path in WRITTEN for b in blocks(path) if b.kind == 'bash'
      for line in b.lines}
 )  # fmt: skip
+# of another host, whose page would call it; `make docs` looks at the pages as they are built
+CALLED = re.compile(r'!\[[^]]*\]\(http|<(?:img|script|link)[^>]*="(?:http|//)')
 METRICS = {
     'time': 'completion_time',
     'path': 'shepherd_path_length',
@@ -170,6 +172,12 @@ def test_links_inside_resolve(page: Path) -> None:
         if anchor:
             headings = re.findall(r'^#+ (.*)$', path.read_text(encoding='utf-8'), re.M)
             assert anchor in {slug(heading) for heading in headings}, f'{target} of {page.name}'
+
+
+def test_pages_call_no_other_host() -> None:
+    for page in WRITTEN:
+        if page.is_relative_to(DOCS):
+            assert not CALLED.findall(page.read_text(encoding='utf-8')), page
 
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda path: path.name)
