@@ -8,9 +8,10 @@ from typing import Any
 
 from foxglove import Channel, Context, Schema
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.subscription import Subscription
 from shepherd_ros.ros.node import message_type
+from shepherd_ros.ros.reader_quality import adapted_quality
 from shepherd_ros.wire.schemas import installed_text, nested_text, schema_text, wire_types
 
 ROS2MSG = 'ros2msg'  # encoding of the text of a message type
@@ -102,7 +103,7 @@ class FoxgloveChannels:
         if len(kinds) > 1:
             self._refuse(name, f'it has the types {", ".join(kinds)}, expected one: remap others')
             return
-        quality = offered_quality([offer.qos_profile for offer in publishers])
+        quality = adapted_quality((offer.qos_profile for offer in publishers), DEPTH)
         topic = self.topics.get(name)
         if topic is not None and (topic.kind, topic.quality) == (kinds[0], quality):
             return
@@ -140,14 +141,3 @@ class FoxgloveChannels:
             self._close(name)
             self.refused[name] = why
             self.node.get_logger().warning(f'{name} is not shown: {why}')
-
-
-def offered_quality(profiles: list[QoSProfile]) -> QoSProfile:
-    """Return a quality of service that every publisher of a topic satisfies."""
-    reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
-    latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
-    return QoSProfile(
-        depth=DEPTH,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-    )

@@ -11,11 +11,12 @@ from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.subscription import Subscription
 from shepherd_ros.nodes.recorder_losses import Losses
 from shepherd_ros.ros.node import message_type
 from shepherd_ros.ros.polling import never, PolledGroup
+from shepherd_ros.ros.reader_quality import adapted_quality, reader_quality
 from shepherd_ros.rosbag2.qos import Qos
 from shepherd_ros.wire.contract import known
 from shepherd_ros.wire.schemas import installed_text, nested_text, wire_types
@@ -30,10 +31,14 @@ class RecordedTopic:
     """A subscription, and the publishers of its topic."""
 
     kind: str
-    reliable: bool
-    latched: bool
+    quality: QoSProfile
     subscription: Subscription
     offers: list[Any] = field(default_factory=list)  # publishers when they were last seen
+
+    @property
+    def latched(self) -> bool:
+        """Return whether messages from before the subscription are received."""
+        return bool(self.quality.durability == DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class RecorderSubscriptions:
@@ -99,9 +104,11 @@ class RecorderSubscriptions:
                 name = name if name.startswith('/') else f'{namespace}/{name}'
                 if name not in self.inputs and self.wanted(name):
                     profile = profiles[row.profile]
+                    reliable = profile.reliability == 'reliable'
                     latched = profile.durability == 'transient_local'
+                    quality = reader_quality(reliable, latched, QUEUE_DEPTH)
                     try:
-                        self._subscribe(name, row.type, profile.reliability == 'reliable', latched)
+                        self._subscribe(name, row.type, quality)
                     except (AttributeError, ImportError):
                         continue  # look() refuses it once somebody publishes it
 
@@ -131,17 +138,12 @@ class RecorderSubscriptions:
             self._refuse(name, f'it has the types {", ".join(kinds)}, expected one: remap others')
             return
         profiles = [offer.qos_profile for offer in offers]
-        reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
-        latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
-        if (
-            recorded is not None and recorded.offers
-        ):  # what suits those from before has to suit these
-            reliable, latched = reliable and recorded.reliable, latched and recorded.latched
-        if recorded is None or (kinds[0], reliable, latched) != (
-            recorded.kind, recorded.reliable, recorded.latched,
-        ):  # fmt: skip
+        if recorded is not None and recorded.offers:
+            profiles.append(recorded.quality)  # which still suits those from before
+        quality = adapted_quality(profiles, QUEUE_DEPTH)
+        if recorded is None or (recorded.kind, recorded.quality) != (kinds[0], quality):
             try:
-                recorded = self._subscribe(name, kinds[0], reliable, latched)
+                recorded = self._subscribe(name, kinds[0], quality)
             except (AttributeError, ImportError, FileNotFoundError, ValueError) as error:
                 self._refuse(name, f'{kinds[0]} is missing ({error}): install it or --exclude')
                 return
@@ -154,7 +156,7 @@ class RecorderSubscriptions:
         recorded.offers = offers
         self.losses.topics[name].publishers |= _ids(offers)
 
-    def _subscribe(self, name: str, kind: str, reliable: bool, latched: bool) -> RecordedTopic:
+    def _subscribe(self, name: str, kind: str, quality: QoSProfile) -> RecordedTopic:
         """Listen to a topic, instead of what was listened to before."""
         message = message_type(kind)
         if kind not in wire_types():
@@ -167,25 +169,17 @@ class RecorderSubscriptions:
             message,
             name,
             never,
-            QoSProfile(
-                depth=QUEUE_DEPTH,
-                reliability=ReliabilityPolicy.RELIABLE
-                if reliable
-                else ReliabilityPolicy.BEST_EFFORT,
-                durability=DurabilityPolicy.TRANSIENT_LOCAL
-                if latched
-                else DurabilityPolicy.VOLATILE,
-            ),
+            quality,
             callback_group=self.group,
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(
                 message_lost=partial(self.losses.lost, name), use_default_callbacks=False
             ),
         )
-        self.inputs[name] = RecordedTopic(kind, reliable, latched, subscription)
-        if latched:
+        recorded = self.inputs[name] = RecordedTopic(kind, quality, subscription)
+        if recorded.latched:
             self.losses.latched.add(name)
-        return self.inputs[name]
+        return recorded
 
     def _refuse(self, name: str, reason: str) -> None:
         """Go on without a topic; the bag is not whole then."""

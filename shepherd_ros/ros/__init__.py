@@ -7,6 +7,7 @@ __all__ = [
     'node',
     'parameters',
     'polling',
+    'reader_quality',
     'runtime',
     'scan_subscriber',
     'transforms',
