@@ -231,6 +231,27 @@ def test_the_best_is_not_replaced_by_a_worse_one_even_after_the_state_is_lost(
     assert read_checkpoint_metadata(tmp_path / 'best.safetensors')[1]['eval'] == best
 
 
+def test_each_evaluation_keeps_its_policy_also_in_a_run_that_goes_on(
+    tmp_path: Path, bags: Path
+) -> None:
+    keeps = replace(EVALUATION, keep_evaluated=True)
+    curve = learn('ppo', tmp_path / 'whole', bags, evaluation=keeps)
+    with pytest.raises(PowerCutError):
+        learn('ppo', tmp_path / 'cut', bags, cut_after(3), evaluation=keeps)
+    learn('ppo', tmp_path / 'cut', bags, evaluation=keeps)
+    evaluated = [line for line in curve if 'eval/score' in line]
+    names = [f'{int(line["updates"]):06d}.safetensors' for line in evaluated]
+    assert len(names) > 1
+    one, other = (tmp_path / name / 'evaluated' for name in ('whole', 'cut'))
+    for folder in (one, other):
+        assert sorted(path.name for path in folder.iterdir()) == names
+    for name, line in zip(names, evaluated, strict=True):
+        weights = load_policy(str(other / name)).state_dict()
+        for key, weight in load_policy(str(one / name)).state_dict().items():
+            assert torch.equal(weight, weights[key])
+        assert read_checkpoint_metadata(one / name)[1]['eval']['score'] == line['eval/score']
+
+
 def test_a_second_process_is_refused(tmp_path: Path, bags: Path) -> None:
     def second(line: Line) -> None:
         with pytest.raises(ConfigError, match='is in use: expected one training at a time'):
