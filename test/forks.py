@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import atexit
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 import ctypes
 import json
 import multiprocessing as mp
@@ -23,15 +23,24 @@ import socket
 import sys
 import tempfile
 import traceback
+from types import FrameType
 from typing import Any
 
 FORKS = mp.get_context('forkserver')
 FORKS.set_forkserver_preload(
-    ['shepherd_ros.nodes.compose', 'rosgraph_msgs.msg', 'shepherd_ros.learning.train_ppo']
+    [
+        'shepherd_ros.nodes.compose',
+        'rosgraph_msgs.msg',
+        'shepherd_ros.learning.train_ppo',
+        'torch.distributed.run',
+        'compiled_laws',
+    ]
 )
 DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 COMMANDS = ('shepherd', 'python', 'pierson', 'strombom', 'random')
 BIN = Path(sys.executable).parent
+# two processes of a command, which comes after this
+TORCHRUN = ['-m', 'torch.distributed.run', '--standalone', '--nproc-per-node', '2', '--no-python']
 CLIENT = """#!{python} -IS
 import json, os, signal, socket, sys
 server = socket.socket(socket.AF_UNIX)
@@ -76,10 +85,17 @@ def die_with_tests() -> None:
     os.close(_forkserver._forkserver_alive_fd)  # type: ignore[attr-defined]
 
 
+def _reap(number: int, frame: FrameType | None) -> None:
+    """Wait for forks that have ended, so that their CPU time counts as that of the tests."""
+    with suppress(ChildProcessError):
+        while os.waitpid(-1, os.WNOHANG)[0]:
+            pass
+
+
 def _serve(listener: socket.socket) -> None:
     """Fork for each client, for ever."""
     die_with_tests()
-    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody asks how those ended
+    signal.signal(signal.SIGCHLD, _reap)
     while True:
         client, _ = listener.accept()
         if os.fork() == 0:
@@ -127,7 +143,11 @@ def _become(words: list[str], folder: str, environment: dict[str, str]) -> None:
         sys.argv = words[1:] if name == 'python' else [str(BIN / name), *words[1:]]
         paths = environment.get('PYTHONPATH', '').split(os.pathsep)
         sys.path[:0] = [str(Path(sys.argv[0]).parent), *filter(None, paths)]
-        runpy.run_path(sys.argv[0], run_name='__main__')
+        if sys.argv[0] == '-m':
+            del sys.argv[0]
+            runpy.run_module(sys.argv[0], run_name='__main__', alter_sys=True)
+        else:
+            runpy.run_path(sys.argv[0], run_name='__main__')
         code = 0
     except SystemExit as end:
         code = end.code

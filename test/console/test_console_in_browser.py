@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 import json
 from pathlib import Path
+import sys
 from threading import Event, Thread
 import time
 from urllib.parse import urlsplit
@@ -25,7 +26,7 @@ from std_msgs.msg import String
 from view.browser import chromium, PATIENCE
 
 pytestmark = pytest.mark.xdist_group('browser')  # one browser for all
-RATE = 25.0  # steps per second
+RATE = 10.0  # steps per second
 JOB = 110.0  # [s] for what a process with torch does, on a busy machine
 SPEED = 1.0  # [m/s] of a shepherd
 SMALL = """
@@ -106,10 +107,13 @@ class Herding:
 
 
 @pytest.fixture(scope='module')
-def herding(shared_graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Herding]:
+def herding(
+    shared_graph: Graph, commands: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Herding]:
     """Run a world with two controllers, a mux and a console, open in a browser."""
     patch = pytest.MonkeyPatch()  # a machine that is busy would let go of what a page drives
     patch.setattr(drives, 'DEAD_MAN', PATIENCE)
+    patch.setattr(sys, 'executable', str(commands / 'python'))  # recorder and jobs are forks
     driver = chromium(tmp_path_factory.mktemp('profile'))
     page = ConsolePage(driver)
     own = Herding(shared_graph, page, tmp_path_factory.mktemp('bags'))
@@ -396,7 +400,7 @@ def test_a_recording_is_made_listed_replayed_and_driven_on_by_another(
     page.tab('bags')
     page.click('#record')
     page.until_text('#record', lambda text: text.startswith('Stop'))
-    herding.set_steps(200)  # the other future is as long
+    herding.set_steps(120)  # the other future is as long
     page.tab('team')
     page.take(0)
     page.hold('d')
@@ -480,7 +484,7 @@ def test_a_page_from_the_background_gets_the_newest_frame_and_no_burst(
 ) -> None:
     own = page.driver.current_window_handle
     page.driver.switch_to.new_window('tab')
-    herding.until_steps(20)
+    herding.until_steps(10)
     page.driver.close()
     behind = herding.track.last
     page.driver.switch_to.window(own)

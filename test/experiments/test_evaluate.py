@@ -4,7 +4,6 @@ from dataclasses import replace
 import json
 from pathlib import Path
 import subprocess
-import sys
 
 import pytest
 from shepherd_ros import __version__
@@ -248,9 +247,15 @@ def test_two_ranks_of_torchrun_make_the_rows_of_one_process(
 ) -> None:
     words = ['evaluate', '6', *WORDS, '--controllers', 'pierson', '--out']
     assert main([*words, str(tmp_path / 'one')]) == 0
-    beside = Path(sys.executable).parent
-    launch = [beside / 'torchrun', '--standalone', '--nproc-per-node', '2', '--no-python']
-    command = [*launch, commands / 'shepherd', *words, tmp_path / 'two']
+    launch = [
+        '-m',
+        'torch.distributed.run',
+        '--standalone',
+        '--nproc-per-node',
+        '2',
+        '--no-python',
+    ]
+    command = [commands / 'python', *launch, commands / 'shepherd', *words, tmp_path / 'two']
     done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     one, two = (read_results([tmp_path / name]).table for name in ('one', 'two'))

@@ -277,6 +277,8 @@ def main(seeds: Path, work: Path, asked: list[str]) -> None:
             heard.append(f'{event} {arguments!r:.200}')
 
     os.chdir(work)
+    # as deep as from the shell, where a fork begins deeper
+    sys.setrecursionlimit(sys.getrecursionlimit() + len(traceback.extract_stack()))
     for kind, (make, walk) in KINDS.items():  # so that nothing is imported later
         for case in range(-20, 0):
             make(seeds, work, random.Random(f'{kind} {case}'))

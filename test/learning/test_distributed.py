@@ -9,6 +9,7 @@ import subprocess
 import sys
 from typing import Any
 
+from forks import TORCHRUN
 import pytest
 from shepherd_ros.cli import main
 from shepherd_ros.learning.distributed import rank, ranks
@@ -35,8 +36,6 @@ TINY = (
 )
 
 pytestmark = pytest.mark.xdist_group('distributed')  # one training for all
-BIN = Path(sys.executable).parent
-LAUNCH = (BIN / 'torchrun', '--standalone', '--nproc-per-node', '2', '--no-python')
 TIMES = ('seconds', 'seconds_left', 'samples_per_second', 'rollout_share')
 
 
@@ -82,16 +81,26 @@ def updated() -> dict[str, Tensor]:
     return dict(after)
 
 
-def torchrun(*words: object) -> subprocess.CompletedProcess[str]:
-    command = [str(word) for word in (*LAUNCH, *words)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+def torchrun(commands: Path, name: str, *words: object) -> subprocess.Popen[str]:
+    """Start two processes of a command, as the program `torchrun` does."""
+    command = [str(word) for word in (commands / 'python', *TORCHRUN, commands / name, *words)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def train_ppo(commands: Path, out: Path) -> str:
+    """Return what two processes print that train to the end."""
+    run = torchrun(commands, 'shepherd', 'train', 'ppo', *TINY.split(), '--out', out)
+    printed, errors = run.communicate()
+    assert run.returncode == 0, errors
+    return printed
 
 
 def test_an_update_of_two_is_that_of_one_with_all_decisions(
     commands: Path, tmp_path: Path
 ) -> None:
-    done = torchrun(commands / 'python', __file__, tmp_path)
-    assert done.returncode == 0, done.stderr
+    run = torchrun(commands, 'python', __file__, tmp_path)
+    _, errors = run.communicate()
+    assert run.returncode == 0, errors
     one = updated()
     for index in (0, 1):
         two = torch.load(tmp_path / f'{index}.pt', weights_only=True)
@@ -103,9 +112,7 @@ def test_an_update_of_two_is_that_of_one_with_all_decisions(
 @pytest.fixture(scope='module')
 def trained(commands: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp('ranks') / 'run'
-    done = torchrun(commands / 'shepherd', 'train', 'ppo', *TINY.split(), '--out', out)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count('the best policy is in') == 1
+    assert train_ppo(commands, out).count('the best policy is in') == 1
     return out
 
 
@@ -125,10 +132,7 @@ def test_a_run_of_two_that_is_ended_goes_on_as_if_it_had_not_been(
     trained: Path, commands: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / 'run'
-    command = [*LAUNCH, commands / 'shepherd', 'train', 'ppo', *TINY.split(), '--out', out]
-    run = subprocess.Popen(
-        [str(word) for word in command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    run = torchrun(commands, 'shepherd', 'train', 'ppo', *TINY.split(), '--out', out)
     assert run.stdout is not None
     for _ in range(4):  # the first evaluation is over
         run.stdout.readline()
@@ -136,8 +140,7 @@ def test_a_run_of_two_that_is_ended_goes_on_as_if_it_had_not_been(
     run.communicate()
     assert run.returncode != 0
     assert len(torch.load(out / 'state.pt', weights_only=True)['ranks']) == 2
-    done = torchrun(commands / 'shepherd', 'train', 'ppo', *TINY.split(), '--out', out)
-    assert done.returncode == 0, done.stderr
+    train_ppo(commands, out)
     curves = [
         [
             {name: value for name, value in json.loads(line).items() if name not in TIMES}

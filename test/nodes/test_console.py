@@ -7,6 +7,7 @@ from contextlib import suppress
 import json
 from pathlib import Path
 import re
+import sys
 import time
 from typing import Any
 from urllib.error import HTTPError
@@ -53,11 +54,15 @@ def record_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope='module')
-def console(shared_graph: Graph, sim: Any, record_dir: Path) -> ConsoleNode:
-    """Run a console."""
-    node = shared_graph.host('console', port=0, record_dir=str(record_dir))
-    shared_graph.until(lambda: node.address, 'the console listens')
-    return node
+def console(
+    shared_graph: Graph, sim: Any, record_dir: Path, commands: Path
+) -> Iterator[ConsoleNode]:
+    """Run a console, whose recorder and jobs are forks."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, 'executable', str(commands / 'python'))
+        node = shared_graph.host('console', port=0, record_dir=str(record_dir))
+        shared_graph.until(lambda: node.address, 'the console listens')
+        yield node
 
 
 @pytest.fixture

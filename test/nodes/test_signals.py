@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import cycle, islice
 import re
-from signal import SIGHUP, SIGINT, Signals, SIGTERM
+from signal import SIGHUP, SIGINT, SIGTERM
 import subprocess
 import sys
 
@@ -28,23 +29,21 @@ def assert_clean_end(process: Process) -> None:
     assert 'Error' not in process.text, process
 
 
-@pytest.mark.parametrize(
-    ('signals', 'executor'),
-    [([SIGTERM], 'single'), ([SIGINT, SIGINT], 'events')],
-    ids=['TERM', 'INT twice, events'],
-)
-def test_every_executable_ends_with_zero_on_a_signal_while_it_waits(
-    graph: Graph, signals: list[Signals], executor: str
-) -> None:
+SIGNALS = ([SIGINT], [SIGTERM], [SIGTERM, SIGTERM], [SIGINT, SIGTERM], [SIGINT, SIGINT])
+EXECUTORS = ('single', 'events')
+
+
+def test_every_executable_ends_with_zero_on_a_signal_while_it_waits(graph: Graph) -> None:
     waiting = [name for name in EXECUTABLES if name != 'flock_sim']
     more = {'console': {'port': 0}}
     processes = {
-        name: graph.start(name, executor=executor, **more.get(name, {})) for name in waiting
+        name: graph.start(name, executor=executor, **more.get(name, {}))
+        for name, executor in zip(waiting, cycle(EXECUTORS), strict=False)
     }
     for name in waiting:  # it reports once a second, so that it spins
         pattern = 'no (state of the world|scans) (heard|answered) yet|0 open'
         graph.until_status(f'{name}: ', pattern)
-    for process in processes.values():
+    for process, signals in zip(processes.values(), cycle(SIGNALS), strict=False):
         process.send(*signals)
     for process in processes.values():
         assert_clean_end(process)
@@ -52,18 +51,9 @@ def test_every_executable_ends_with_zero_on_a_signal_while_it_waits(
         assert text in ('', f'{process.executable}: {LEFT}')
 
 
-@pytest.mark.parametrize(
-    ('signals', 'executor'),
-    [
-        ([SIGINT], 'single'),
-        ([SIGTERM, SIGTERM], 'single'),
-        ([SIGTERM], 'events'),
-        ([SIGINT, SIGTERM], 'events'),
-    ],
-    ids=lambda value: '-'.join(s.name for s in value) if isinstance(value, list) else value,
-)
-def test_a_busy_stack_ends_with_zero_on_a_signal_in_the_midst_of_its_work(
-    graph: Graph, signals: list[Signals], executor: str
+@pytest.mark.parametrize('executor', EXECUTORS)
+def test_a_busy_stack_ends_with_zero_on_signals_in_the_midst_of_its_work(
+    graph: Graph, executor: str
 ) -> None:
     track = graph.track()
     parameters = {'flock_sim': {'n_sheep': 20}, 'lidar': {'shepherd_ids': [0, 1, 2]}}
@@ -72,39 +62,41 @@ def test_a_busy_stack_ends_with_zero_on_a_signal_in_the_midst_of_its_work(
     ]
     graph.until_nodes(*STACK)
     graph.until(lambda: len(track.stamps) > 20, 'the world moves fast')
-    for process in reversed(processes):  # the world last, so that all the others are busy
-        process.send(*signals)
+    first = EXECUTORS.index(executor)  # so that each node gets others than in the other run
+    each = islice(cycle(SIGNALS), first, None)
+    for process, signals in zip(reversed(processes), each, strict=False):
+        process.send(*signals)  # the world last, so that all the others are busy
     for process in processes:
         assert_clean_end(process)
 
 
-@pytest.mark.parametrize('number', [SIGINT, SIGTERM, SIGHUP], ids=['INT', 'TERM', 'HUP'])
-def test_the_world_ends_with_zero_in_realtime_and_while_it_waits(
-    graph: Graph, number: Signals
-) -> None:
-    track = graph.track()
-    fast = graph.start('flock_sim', mode='realtime', rate=500.0, n_sheep=20)
-    graph.until(lambda: len(track.stamps) > 20, 'the world moves fast')
-    fast.send(number)
-    assert_clean_end(fast)
-    waiting = graph.start('flock_sim', n_sheep=20)
-    graph.until_says(waiting, 'episode 0')
-    waiting.send(number)
-    assert_clean_end(waiting)
+def test_the_world_ends_with_zero_in_realtime_and_while_it_waits(graph: Graph) -> None:
+    fast, waiting = [], []
+    for number in (SIGINT, SIGTERM, SIGHUP):
+        words = ('-r', f'__ns:=/{number.name}', '-p', 'publish_clock:=false')
+        track = graph.track(f'/{number.name}')
+        process = graph.start('flock_sim', *words, mode='realtime', rate=500.0, n_sheep=20)
+        fast.append((process, track, number))
+        still = ('-r', f'__ns:=/{number.name}_waits', '-p', 'publish_clock:=false')
+        waiting.append((graph.start('flock_sim', *still, n_sheep=20), number))
+    for process, track, number in fast:
+        graph.until(lambda track=track: len(track.stamps) > 20, 'the world moves fast')
+        process.send(number)
+        assert_clean_end(process)
+    for process, number in waiting:
+        graph.until_says(process, 'episode 0')
+        process.send(number)
+        assert_clean_end(process)
 
 
 def test_a_freshly_started_python_ends_with_zero_on_two_signals(graph: Graph) -> None:
     # not forked, so that the end of the interpreter is part of it
-    processes = {
-        SIGINT: graph.start('flock_sim', fresh=True, n_sheep=20),
-        SIGTERM: graph.start('strombom', fresh=True),
-    }
+    sim = graph.start('flock_sim', fresh=True, n_sheep=20)
+    graph.start('strombom')
     track = graph.track()
     graph.until(lambda: len(track.stamps) > 20, 'the world moves')
-    for number, process in processes.items():
-        process.send(number, number)
-    for process in processes.values():
-        assert_clean_end(process)
+    sim.send(SIGINT, SIGINT)
+    assert_clean_end(sim)
 
 
 def test_a_signal_that_comes_as_the_interpreter_ends_does_not_change_the_exit_code() -> None:
@@ -147,23 +139,26 @@ def test_a_node_that_dds_does_not_let_go_is_left_with_its_exit_code() -> None:
 # --- help ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize('executable', EXECUTABLES)
-def test_help_names_every_parameter_with_its_default(graph: Graph, executable: str) -> None:
-    process = graph.start_words(executable, ['--help'])
-    node = graph.host(executable)
-    assert process.wait() == 0
-    first, *_ = process.text.splitlines()
-    assert re.match(r'[A-Z][^\n]+\.$', first), 'a sentence comes first'
-    for name in node.list_parameters([], 0).names:
-        if name in ('use_sim_time', 'start_type_description_service'):
-            continue
-        value = node.get_parameter(name).value
-        shown = list(value) if hasattr(value, 'tolist') else value
-        line = re.search(rf'^  {re.escape(name)} \((.*?)\): (\S.+)$', process.text, re.MULTILINE)
-        assert line, f'{name} is not in the help of {executable}'
-        if not isinstance(shown, list):
-            assert line[1] == str(shown), name
-    assert '--ros-args -p name:=value' in process.text
+def test_help_names_every_parameter_with_its_default(graph: Graph) -> None:
+    processes = {name: graph.start_words(name, ['--help']) for name in EXECUTABLES}
+    for executable, process in processes.items():
+        assert process.wait() == 0
+        first, *_ = process.text.splitlines()
+        assert re.match(r'[A-Z][^\n]+\.$', first), 'a sentence comes first'
+        assert '--ros-args -p name:=value' in process.text
+        node = graph.host(executable)
+        for name in node.list_parameters([], 0).names:
+            if name in ('use_sim_time', 'start_type_description_service'):
+                continue
+            value = node.get_parameter(name).value
+            shown = list(value) if hasattr(value, 'tolist') else value
+            line = re.search(
+                rf'^  {re.escape(name)} \((.*?)\): (\S.+)$', process.text, re.MULTILINE
+            )
+            assert line, f'{name} is not in the help of {executable}'
+            if not isinstance(shown, list):
+                assert line[1] == str(shown), name
+        graph.end(node)
 
 
 def test_help_also_comes_for_a_short_h_and_beside_ros_arguments(graph: Graph) -> None:
