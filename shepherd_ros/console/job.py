@@ -21,7 +21,7 @@ from shepherd_ros.config import ConfigError
 if TYPE_CHECKING:
     from shepherd_ros.recordings.episodes import RecordedEpisode
 
-NICENESS = 10  # below the nodes of the graph
+NICENESS = 5  # below the nodes of the graph, above trainings in the background
 
 
 def _say(**content: Any) -> None:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.exceptions import InvalidHandle
 from shepherd_ros.config import ConfigError
 from shepherd_ros.console.access import make_access
 from shepherd_ros.console.archive import Archive
 from shepherd_ros.console.commands import ConsoleCommand
 from shepherd_ros.console.desk import Answer, ConsoleDesk
+from shepherd_ros.console.frame_pace import FramePace
 from shepherd_ros.console.live_values import LiveValues
 from shepherd_ros.console.metric_history import Curves
 from shepherd_ros.console.page_server import PageServer
@@ -26,6 +30,7 @@ METRICS_PERIOD = 0.1  # [s] between two looks at metrics
 IDLE_PERIOD = 0.2  # [s] between two looks at states while no page is open
 REPORT_PERIOD = 1.0  # [s] between two looks at diagnostics, and for new topics
 HIGHEST_PORT = 65535
+HIGHEST_RATE = 240.0  # frames per second
 
 
 class ConsoleNode(ShepherdNode):
@@ -54,9 +59,16 @@ class ConsoleNode(ShepherdNode):
         record_dir: str = self.option(
             'record_dir', 'bags', 'folder of the bags that are recorded, listed and replayed'
         )
-        self.frame_rate: float = self.option(
-            'frame_rate', 60.0, 'most frames per second for each page', low=1.0, high=240.0
+        free: float = self.option(
+            'frame_rate', 60.0, 'most frames per second for each page', low=1.0, high=HIGHEST_RATE
         )
+        busy: float = self.option(
+            'busy_frame_rate', 20.0, 'the same while less than half a processor is spare, so that '
+            'pages do not slow the graph down', low=1.0, high=HIGHEST_RATE,
+        )  # fmt: skip
+        self.pace = FramePace(free, busy)
+        self.tasks: deque[Callable[[], None]] = deque()  # for the executor's thread
+        self.task_guard = self.create_guard_condition(self._run_tasks)
         self.access = make_access(host, token, hosts)
         self.place = host, port
         self.past = Curves()
@@ -117,7 +129,8 @@ class ConsoleNode(ShepherdNode):
 
     def _look(self) -> None:
         """Show the newest state, and tell who drives."""
-        self._again(1 / self.frame_rate if self.desk.sessions else IDLE_PERIOD, self._look)
+        period = self.pace.period(self.wall()) if self.desk.sessions else IDLE_PERIOD
+        self._again(period, self._look)
         episode = self.feed.episode
         self.mux.look()
         if self.feed.look():
@@ -172,9 +185,14 @@ class ConsoleNode(ShepherdNode):
 
     def in_executor(self, function: Callable[[], None]) -> None:
         """Call a function in the executor's thread, where rclpy makes and ends subscriptions."""
-        executor = self.executor
-        if executor is not None:
-            executor.create_task(function)
+        self.tasks.append(function)
+        with suppress(InvalidHandle):  # the node ends
+            self.task_guard.trigger()
+
+    def _run_tasks(self) -> None:
+        """Call what waits; in the executor's thread."""
+        while self.tasks:
+            self.tasks.popleft()()
 
     def perform(self, command: ConsoleCommand, answer: Answer) -> None:
         """Carry out a command."""

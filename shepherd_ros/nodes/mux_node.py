@@ -11,19 +11,19 @@ from shepherd_ros.nodes.body_frame import BodyFrames
 from shepherd_ros.nodes.command_mux import Choice, CommandMux, Velocity
 from shepherd_ros.nodes.mux_parameters import declare_mux
 from shepherd_ros.nodes.mux_requests import MuxRequests
-from shepherd_ros.nodes.mux_sources import MuxSources
+from shepherd_ros.nodes.mux_sources import MuxSources, STAMPED, UNSTAMPED
 from shepherd_ros.ros.episode_subscriber import listen_to_episodes
 from shepherd_ros.ros.intra_process import Output
-from shepherd_ros.ros.node import OK, ShepherdNode, WARN
+from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.ros.runtime import run
-from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.decode import Poses
 from shepherd_ros.wire.drivers import Drivers
-from shepherd_ros.wire.encode import encode_command, encode_text
+from shepherd_ros.wire.encode import encode_command, encode_text, encode_twist
 from shepherd_ros.wire.episode import Episode
 from shepherd_ros.wire.topics import COMMANDS, DRIVERS, SHEPHERD, SHEPHERD_POSES
 
 SILENCE_LOOK_PERIOD = 0.02  # [s] between two looks at who has fallen silent
+LOG_PERIOD = 10.0  # [s] between two logs of a type that is not heard
 TYPE_PERIOD = 0.2  # [s] between two looks at the types of sources
 RESEND_RACE = (
     0.5  # [s] after its answers in which a state that is shown again may have crossed them
@@ -44,6 +44,7 @@ class MuxNode(ShepherdNode):
         super().__init__('mux', **kwargs)
         options = declare_mux(self)
         self.body = options.body
+        self.kind = STAMPED if options.stamped else UNSTAMPED
         self.mux = CommandMux(
             options.sources, options.locks, options.default, options.start_timeout
         )
@@ -58,14 +59,14 @@ class MuxNode(ShepherdNode):
         self.sources = MuxSources(self, options, self.on_command)
         self.requests = MuxRequests(self, self.mux, options, self.on_change)
         self.drivers_output = self.advertise(DRIVERS)
-        listen_to_episodes(self, self.on_episode)
+        listen_to_episodes(self, Episode.from_json, self.on_episode)
         self.listen(SHEPHERD_POSES, self.on_poses)
         self.timer(SILENCE_LOOK_PERIOD, self.decide)
         self.timer(TYPE_PERIOD, self.sources.match)
 
     # ---- input ----
 
-    def on_episode(self, episode: Episode, world: WorldConfig) -> None:
+    def on_episode(self, episode: Episode) -> None:
         """Make ready for the team of an episode."""
         self.episode, n = episode, episode.n_shepherds
         self.mux.begin(n, episode.mode == 'lockstep', self.wall())
@@ -74,7 +75,7 @@ class MuxNode(ShepherdNode):
         while len(self.outputs) > n:
             self.destroy_publisher(self.outputs.pop())
         for h in range(len(self.outputs), n):
-            self.outputs.append(self.advertise(COMMANDS, h))
+            self.outputs.append(self.advertise(COMMANDS, h, self.kind))
         self.sources.begin(n)
         self.requests.begin(n)
         if self.poses is not None:
@@ -174,7 +175,11 @@ class MuxNode(ShepherdNode):
         x, y, _ = choice.velocity
         if choice.driver in self.body:
             x, y = self.frames.to_world(shepherd, choice.velocity)
-        self.outputs[shepherd].publish(encode_command(choice.stamp_ns, self.frame_id, x, y))
+        self.outputs[shepherd].publish(
+            encode_twist(x, y)
+            if self.kind == UNSTAMPED
+            else encode_command(choice.stamp_ns, self.frame_id, x, y)
+        )
 
     def _turn(self, choice: Choice | None) -> float | None:
         """Return the turn of a command in the frame of a body [rad/s], None for another one."""
@@ -223,7 +228,20 @@ class MuxNode(ShepherdNode):
             SHEPHERD.format(h=h): f'{driver or "zero"} (selected: {self.mux.selected[h]})'
             for h, driver in enumerate(drivers[: self.mux.n_shepherds])
         }
-        return [self.status('drivers', level, message, **values)]
+        return [self.status('drivers', level, message, **values), *self._diagnose_types()]
+
+    def _diagnose_types(self) -> list[DiagnosticStatus]:
+        """Return a status, also logged, if a node hears commands of the other type."""
+        infos = self.get_subscriptions_info_by_topic(COMMANDS.format(h=0)) if self.outputs else []
+        deaf = [f'{i.node_name} hears {i.topic_type}' for i in infos if i.topic_type != self.kind]
+        if not deaf:
+            return []
+        message = (
+            f'{COMMANDS.format(h=0)} is {self.kind}, but {", ".join(sorted(deaf))}: expected one '
+            'type; give mux, flock_sim and controllers the same value of stamped'
+        )
+        self.get_logger().error(message, throttle_duration_sec=LOG_PERIOD)
+        return [self.status('types', ERROR, message)]
 
 
 def main() -> int:

@@ -35,6 +35,7 @@ class MuxOptions:
     topics: dict[str, str]  # of sources, by name
     lock_topics: dict[str, str]  # of locks, by name
     body: frozenset[str]  # sources that command in the frame of the body
+    stamped: bool  # whether flock_sim hears TwistStamped
 
 
 def declare_source(node: ShepherdNode) -> str:
@@ -124,6 +125,9 @@ def declare_mux(node: ShepherdNode) -> MuxOptions:
         'start_timeout', 60.0, 'lockstep: the default source is waited for at the start for so '
         'long [s]', low=0.0,
     )  # fmt: skip
+    stamped = node.option(
+        'stamped', True, 'publish TwistStamped; false: Twist, for a flock_sim with stamped:=false'
+    )
     names = _names(node, 'topics', [default, *_BUILT_IN])
     sources = [_declare_source(node, name, default) for name in names]
     locks = [_declare_lock(node, name) for name in _names(node, 'locks', ())]
@@ -135,6 +139,7 @@ def declare_mux(node: ShepherdNode) -> MuxOptions:
         topics={source.name: topic for source, topic, _ in sources},
         lock_topics={lock.name: topic for lock, topic in locks},
         body=frozenset(source.name for source, _, frame in sources if frame == 'body'),
+        stamped=stamped,
     )
     check_priorities(options.sources, options.locks)
     return options

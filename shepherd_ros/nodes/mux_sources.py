@@ -19,7 +19,7 @@ KINDS = {
     'geometry_msgs/msg/TwistStamped': decode_motion_stamped,
     'geometry_msgs/msg/Twist': decode_motion,
 }
-STAMPED = next(iter(KINDS))
+STAMPED, UNSTAMPED = KINDS
 WARNING_PERIOD = 5.0  # [s] between two warnings of one kind
 
 OnCommand = Callable[[str, 'int | None', Velocity, 'int | None'], None]

@@ -24,7 +24,7 @@ from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
 from shepherd_ros.ros.parameters import declare_config
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.ros.scan_subscriber import SCAN_WARNING_PERIOD, ScanListener
-from shepherd_ros.ros.world_subscriber import LOCKSTEP_SILENCE_TIMEOUT
+from shepherd_ros.ros.world_subscriber import episode_and_world, LOCKSTEP_SILENCE_TIMEOUT
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_command, encode_twist
 from shepherd_ros.wire.episode import Episode
@@ -80,7 +80,7 @@ class PolicyNode(ShepherdNode):
         self.outputs: dict[int, Output] = {}
         self.scans = ScanListener(self, self.policy.config.lidar, self.on_scans)
         self._warm_up()
-        listen_to_episodes(self, self._begin)
+        listen_to_episodes(self, episode_and_world, self._begin)
         self.timer(0.1, self._check_scans)
 
     def _warm_up(self) -> None:
@@ -93,8 +93,9 @@ class PolicyNode(ShepherdNode):
             self.policy, lambda: ranges, has_scan, inference.begin(self.policy, (), team), 1.0
         )
 
-    def _begin(self, episode: Episode, world: WorldConfig) -> None:
+    def _begin(self, content: tuple[Episode, WorldConfig]) -> None:
         """Start an episode with an empty memory, or refuse it."""
+        episode, world = content
         self.episode, self.max_speed = episode, world.shepherd_speed
         self.last, self.refusal = None, ''
         team = range(episode.n_shepherds) if self.shepherd_ids == [_ALL] else self.shepherd_ids

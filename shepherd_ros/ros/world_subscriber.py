@@ -19,6 +19,12 @@ from torch import Tensor
 LOCKSTEP_SILENCE_TIMEOUT = 3.0  # [s] without a state after which a world in lockstep is gone
 
 
+def episode_and_world(text: str) -> tuple[Episode, WorldConfig]:
+    """Return a message of the topic episode and its world; ConfigError if one is refused."""
+    episode = Episode.from_json(text)
+    return episode, WorldConfig.from_dict(episode.world)
+
+
 @lru_cache(maxsize=4)  # nodes in one process receive the same bytes
 def _decode_poses(raw: bytes) -> tuple[int, str, Tensor, Tensor, bool]:
     """Return stamp [ns], frame, positions (K, 2) m, headings (K, 2), whether they are finite."""
@@ -53,7 +59,7 @@ class Listener:
         self.last_state_time = node.wall()  # when the last state came
         self._poses: dict[str, tuple[int, Tensor, Tensor]] = {}
         self._constants: dict[str, Tensor] = {}  # what all states of the episode share
-        listen_to_episodes(node, self._on_episode)
+        listen_to_episodes(node, episode_and_world, self._on_episode)
         node.listen(GOAL, self._on_goal)
         for topic in (SHEEP_POSES, SHEPHERD_POSES):
             node.listen(topic, partial(self._on_poses, topic), decode=_decode_poses)
@@ -70,7 +76,8 @@ class Listener:
             return ''
         return f'no state of the world for {waited:.0f} s: {self.node.sourced(SHEEP_POSES)}'
 
-    def _on_episode(self, episode: Episode, world: WorldConfig) -> None:
+    def _on_episode(self, content: tuple[Episode, WorldConfig]) -> None:
+        episode, world = content
         self.episode = episode
         self._constants = {
             'seed': torch.tensor(episode.seed),

@@ -16,6 +16,7 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.console.access import make_access
 from shepherd_ros.console.commands import COMMAND_KINDS, CommandError, parse_command
 from shepherd_ros.console.drives import DEAD_MAN, Drives
+from shepherd_ros.console.frame_pace import FramePace
 from shepherd_ros.console.jobs import bag_path
 from shepherd_ros.console.metric_history import Curves, MOST_POINTS
 from shepherd_ros.console.sessions import MOST_TEXTS, Session
@@ -271,6 +272,15 @@ def test_a_shepherd_is_held_by_one_and_stands_when_it_is_given_back(
 
 
 # --- curves and bags ----------------------------------------------------------------------------
+
+
+def test_frames_are_fewer_while_less_than_half_a_processor_is_spare() -> None:
+    looks = iter([100.0, 100.45, 101.2, 102.2])  # spare time [s]
+    pace = FramePace(60.0, 20.0, lambda: next(looks))
+    seen = [1 / pace.period(now) for now in (0.0, 0.4, 1.0, 1.49, 2.0, 3.0)]
+    # spare processors: not known, the same, 0.45, the same, 0.75, 1.0
+    assert seen == pytest.approx([60, 60, 20, 20, 20, 60])
+    assert 1 / FramePace(10.0, 20.0, lambda: 0.0).period(0.0) == pytest.approx(10)
 
 
 def test_curves_of_a_long_episode_stay_short_and_even() -> None:

@@ -216,6 +216,8 @@ def test_elsewhere_than_on_loopback_a_token_is_needed(
     shared_graph.until(lambda: page.last('hello'), 'it is let in')
     page.close()
     shared_graph.end(node)
+    node.in_executor(lambda: pytest.fail('the node has ended'))
+    shared_graph.spin()
 
 
 def test_garbage_closes_its_own_page_alone(

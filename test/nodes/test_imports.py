@@ -17,10 +17,10 @@ BY_RCLPY = {'yaml', 'setuptools'}
 BAGS = {'numpy', 'mcap', 'lz4', 'zstandard', 'tyro'}
 LAWS = {'numpy', 'torch'} | ({'numba'} if find_spec('numba') else set())
 NEEDS = {
-    'bags': {'world_client': {'numpy'}, 'flock_commands': {'numpy'}, 'player_node': BAGS,
+    'bags': {'world_client': {'numpy'}, 'flock_commands': {'numpy'}, 'mux_node': {'numpy'},
+             'foxglove_node': {'numpy'}, 'player_node': BAGS,
              'recorder_node': BAGS, 'console_node': BAGS | {'tornado'}},
     'laws': {'flock_node': LAWS, 'lidar_node': LAWS, 'metrics_node': LAWS, 'heuristic_node': LAWS,
-             'mux_node': LAWS,
              'policy_node': LAWS | {'safetensors'}, 'herd_node': LAWS | {'safetensors', 'tyro'}},
 }  # fmt: skip
 

@@ -26,7 +26,7 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes import world_client
 from shepherd_ros.nodes.compose import compose
 from shepherd_ros.resources import share_file
-from shepherd_ros.ros.node import ShepherdNode
+from shepherd_ros.ros.node import OK, ShepherdNode
 from shepherd_ros.ros.runtime import spin
 from shepherd_ros.wire.decode import decode_twist_stamped, Poses, Vector
 from shepherd_ros.wire.drivers import Drivers
@@ -298,6 +298,22 @@ def test_two_sources_work_together_and_a_source_may_send_twist(graph: Graph) -> 
         other.try_shutdown()
     until_driven(graph, told, None, None)
     assert mux.stop() == 0, mux
+
+
+def test_a_world_without_stamps_is_driven_and_another_type_is_named(graph: Graph) -> None:
+    sim = graph.start('flock_sim', stamped=False, **SMALL)
+    told = drivers(graph)
+    mux = graph.host('mux', default='strombom', stamped=False)
+    graph.host('strombom', source='strombom', stamped=False)
+    until_driven(graph, told, 'strombom', 'strombom')
+    graph.until(lambda: told[-1].step > 3, 'steps')
+    assert mux.diagnose()[0].level == OK
+    assert len(mux.diagnose()) == 1
+    graph.end(mux)
+    mux = graph.start('mux', default='strombom')
+    said = graph.until_says(mux, 'shepherd_0/cmd_vel is geometry_msgs/msg/TwistStamped, but (.*)')
+    assert 'flock_sim hears geometry_msgs/msg/Twist: expected one type' in said[1]
+    assert sim.stop() == 0, sim
 
 
 def test_a_key_that_turns_a_shepherd_turns_where_forward_is(graph: Graph) -> None:
