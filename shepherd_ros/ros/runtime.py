@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+import gc
 import os
 import re
 import signal
@@ -140,6 +141,7 @@ def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None)
         # the end of Python gives handlers up, so a second signal would kill
         for number in STOP_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
+        gc.freeze()  # else the end of Python looks through all objects of torch, twice
     return code
 
 
