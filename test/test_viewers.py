@@ -1,10 +1,12 @@
-"""The layouts of RViz and Foxglove show topics of the contract, with fitting types."""
+"""The layouts of RViz, Foxglove and PlotJuggler show topics of the contract, of fitting types."""
 
 import json
 from pathlib import Path
 import re
+from xml.etree import ElementTree
 
 import pytest
+from shepherd_ros.ros.node import message_type
 from shepherd_ros.wire.topics import contract
 import yaml
 
@@ -20,15 +22,17 @@ SHOWS = {  # display or tool of RViz -> type of its topic
 DRAWN = set(SHOWS.values())  # what the 3D panel of Foxglove can draw
 
 
+ROWS = {  # topic in the root namespace -> its row of the contract
+    candidate if candidate.startswith('/') else f'/{candidate}': topic
+    for original, topic in TOPICS.items()
+    for candidate in [re.sub(r'\{h\}', '0', original)]
+}
+
+
 def row(name):
     """Return the topic of the contract that a viewer means in the root namespace."""
-    known = {
-        candidate if candidate.startswith('/') else f'/{candidate}': topic
-        for original, topic in TOPICS.items()
-        for candidate in [re.sub(r'\{h\}', '0', original)]
-    }
-    assert name in known, f'{name} is no topic of the contract'
-    return known[name]
+    assert name in ROWS, f'{name} is no topic of the contract'
+    return ROWS[name]
 
 
 @pytest.fixture(scope='module')
@@ -139,3 +143,17 @@ def test_foxglove_plots_numbers_of_the_contract(foxglove):
 def test_foxglove_shows_diagnostics(foxglove):
     topic = foxglove['configById']['DiagnosticSummary!nodes']['topicToRender']
     assert row(topic).type == 'diagnostic_msgs/msg/DiagnosticArray'
+
+
+def test_plotjuggler_plots_numbers_of_the_contract():
+    root = ElementTree.parse(CONFIG / 'plotjuggler.xml').getroot()
+    curves = [curve.get('name') for curve in root.iter('curve')]
+    for curve in curves:
+        topic = max((t for t in ROWS if curve.startswith(f'{t}/')), key=len)
+        value = message_type(row(topic).type)()
+        for field in curve.removeprefix(f'{topic}/').split('/'):
+            value = getattr(value, field)
+        assert isinstance(value, float), curve
+    assert {'/metrics/fraction_in_goal/data', '/metrics/goal_distance/data'} <= set(curves)
+    for splitter in root.iter('DockSplitter'):
+        assert int(splitter.get('count')) == len(splitter) == len(splitter.get('sizes').split(';'))

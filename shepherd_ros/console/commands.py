@@ -109,11 +109,16 @@ COMMAND_KINDS: dict[str, CommandKind] = {
         },
     ),
     'lock': CommandKind(
-        'lock all shepherds: zero is published while they are locked',
-        {'locked': CommandField(True, 'whether they are locked')},
+        'lock a shepherd or all: zero is published while it is locked',
+        {
+            'locked': CommandField(True, 'whether it is locked'),
+            'shepherd': CommandField(
+                0, 'its index; -1 or none: all', ALL, MAX_SHEPHERDS - 1, optional=True
+            ),
+        },
     ),
     'drive': CommandKind(
-        'take a shepherd and drive it; again within 200 ms, or it stops and is released',
+        'take a shepherd and drive it; again within 160 ms, or it stops and is released',
         {
             'shepherd': _shepherd('its index'),
             'x': CommandField(0.0, 'velocity [m/s]', -MAX_SPEED, MAX_SPEED),

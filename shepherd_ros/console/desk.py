@@ -15,7 +15,7 @@ from shepherd_ros.console.sessions import Session
 from shepherd_ros.sim.lidar_layout import CHANNELS, PAPER_CHANNELS
 
 PROTOCOL = 1  # version of frames and messages
-DRIVES_PERIOD = 0.02  # [s] between two looks at who is silent
+DRIVES_PERIOD = 0.01  # [s] between two looks at who is silent
 Answer = Callable[[bool, str], None]
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from shepherd_ros.config import ConfigError
 
-DEAD_MAN = 0.2  # [s] without a command of its page after which a shepherd stops
+DEAD_MAN = 0.16  # [s] without a command of its page, so that zero is there within 0.2 s
 
 
 @dataclass

@@ -18,7 +18,14 @@ class ServiceCalls:
 
     def __init__(self, node: ShepherdNode, services: dict[str, Any]) -> None:
         """Create a client for each service by its name."""
-        self.clients = {name: node.create_client(kind, name) for name, kind in services.items()}
+        self.node = node
+        self.clients: dict[str, Any] = {}
+        for name, kind in services.items():
+            self.add(name, kind)
+
+    def add(self, name: str, kind: Any) -> None:
+        """Create a client for one more service; in the executor's thread."""
+        self.clients[name] = self.node.create_client(kind, name)
 
     def ready(self, name: str) -> bool:
         """Return whether a service is there."""

@@ -22,7 +22,7 @@ from shepherd_ros.ros.polling import PolledGroup, PolledTopic
 from shepherd_ros.wire.decode import CdrError, decode_string
 from shepherd_ros.wire.drivers import Drivers
 from shepherd_ros.wire.encode import encode_command, encode_text
-from shepherd_ros.wire.topics import DRIVERS, SELECT, source_topic
+from shepherd_ros.wire.topics import DRIVERS, SELECT, SHEPHERD, source_topic
 from std_srvs.srv import SetBool
 
 OWN_SOURCE = 'console'  # of mux, by which pages drive
@@ -70,6 +70,7 @@ class DriverRequests:
             name for name in self.sources if self.node.count_publishers(_topic(name, 0))
         ]
         for h in range(len(self.outputs), n_shepherds):
+            self.calls.add(_lock_of(h), SetBool)
             self.outputs[h] = self.node.advertise(source_topic(OWN_SOURCE), h)
 
     def look(self) -> None:
@@ -128,12 +129,14 @@ class DriverRequests:
         text = source if shepherd == ALL else f'{shepherd} {source}'
         self.select_output.publish(encode_text(text))
 
-    def _lock(self, answer: Answer, locked: bool) -> None:
+    def _lock(self, answer: Answer, locked: bool, shepherd: int = ALL) -> None:
         def answered(response: Any, why: str) -> None:
             answer(response is not None and response.success, why or response.message)
 
         assert self.server is not None
-        self.calls.call(self.server, LOCK, SetBool.Request(data=locked), answered)
+        self._known(shepherd)
+        name = LOCK if shepherd == ALL else _lock_of(shepherd)
+        self.calls.call(self.server, name, SetBool.Request(data=locked), answered)
 
     # ---- by hand ----
 
@@ -168,6 +171,10 @@ class DriverRequests:
         before = self.before.pop(shepherd, None)
         if before is not None:
             self._select(before, shepherd)
+
+
+def _lock_of(shepherd: int) -> str:
+    return f'{SHEPHERD.format(h=shepherd)}/{LOCK}'
 
 
 def _topic(source: str, shepherd: int) -> str:

@@ -113,6 +113,11 @@ class Team {
     const choice = element('select', item);
     choice.setAttribute('aria-label', `Driver of shepherd ${h}`);
     choice.onchange = () => this.link.tell('driver', {shepherd: h, source: choice.value});
+    const lock = element('button', item, '', 'stop');
+    element('i', lock);
+    lock.type = 'button';
+    lock.onclick = () =>
+      this.link.tell('lock', {shepherd: h, locked: lock.getAttribute('aria-pressed') !== 'true'});
     const hand = element('button', item, 'Drive', 'wide');
     hand.type = 'button';
     hand.onclick = () => {
@@ -120,7 +125,7 @@ class Team {
       this.link.hear('hands');
       return this.drive.take(h);
     };
-    return {now, choice, hand};
+    return {now, choice, lock, hand};
   }
 
   show() {
@@ -144,7 +149,11 @@ class Team {
       write(row.now, words);
       options(row.choice, names, nameOf);
       if (document.activeElement !== row.choice) row.choice.value = drivers.selected[h] ?? AUTO;
-      row.choice.disabled = row.hand.disabled = !drivers.present;
+      const locked = Boolean(drivers.locked[h]);
+      row.lock.setAttribute('aria-pressed', locked);
+      row.lock.title = locked ? `Let shepherd ${h} go` : `Stop shepherd ${h}`;
+      row.lock.setAttribute('aria-label', row.lock.title);
+      row.choice.disabled = row.hand.disabled = row.lock.disabled = !drivers.present;
     });
     this.showHeld();
   }

@@ -86,7 +86,7 @@ class ConsolePage(Reader):
 
     def take(self, shepherd: int) -> None:
         """Take a shepherd by hand."""
-        self.click(f'#shepherds li:nth-child({shepherd + 1}) button')
+        self.click(f'#shepherds li:nth-child({shepherd + 1}) .wide')
         self.until(lambda: self.run('return team.confirmed') is True, 'it is driven from here')
 
     def hold(self, key: str) -> None:

@@ -279,6 +279,22 @@ def test_all_shepherds_stand_still_while_they_are_stopped(
     until(lambda: None not in herding.driven, 'they are driven again')
 
 
+def test_one_shepherd_stands_still_while_it_is_stopped(
+    herding: Herding, page: ConsolePage
+) -> None:
+    until(lambda: herding.driven[:2] == ['strombom'] * 2, 'the default drives all')
+    stop = page.find('#shepherds li:nth-child(2) .stop')
+    assert stop.accessible_name == 'Stop shepherd 1'
+    stop.click()
+    until(lambda: herding.driven[:2] == ['strombom', None], 'nobody drives shepherd 1')
+    herding.until_moved(1, 0.0, 0.0)
+    page.until_text('#shepherds li:nth-child(2) .who', lambda text: text.endswith('locked'))
+    assert page.text('#lock') == 'Stop all shepherds'
+    assert stop.accessible_name == 'Let shepherd 1 go'
+    stop.click()
+    until(lambda: herding.driven[:2] == ['strombom'] * 2, 'it is driven again')
+
+
 def test_keys_drive_a_shepherd_in_both_frames(herding: Herding, page: ConsolePage) -> None:
     page.take(0)
     until(lambda: herding.driven[0] == 'console', 'the page drives')

@@ -358,8 +358,11 @@ def test_a_page_chooses_who_drives_and_locks(shared_graph: Graph, page: TestPage
     drivers('strombom', 'strombom')
     ask(shared_graph, page, 'lock', locked=True)
     drivers(None, None)
+    ask(shared_graph, page, 'lock', locked=False, shepherd=1)
+    drivers(None, 'strombom')
     ask(shared_graph, page, 'lock', locked=False)
     drivers('strombom', 'strombom')
+    assert '0 to 1' in refused(shared_graph, page, 'lock', locked=True, shepherd=2)
 
 
 def test_a_shepherd_stops_when_its_page_is_silent(shared_graph: Graph, page: TestPage) -> None:
