@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import json
 from pathlib import Path
 from typing import Annotated, Literal, TYPE_CHECKING
 
@@ -13,7 +14,9 @@ from shepherd_ros.cli.user_error import UserError
 import tyro
 
 if TYPE_CHECKING:
+    from shepherd_ros.recordings.bag_list import BagList
     from shepherd_ros.recordings.episodes import RecordedEpisode
+    from shepherd_ros.recordings.info import BagInfo
 
 Bags = tyro.conf.Positional[Path]
 _EXIT_DIFFERENT = 1  # exit code of check, diff and recover when something was found
@@ -27,6 +30,8 @@ class _Info:
     """Folder of a bag, one .mcap, .db3 or .bag file, or a folder of bags."""
     metrics: bool = True
     """Count the metrics of each episode from its poses."""
+    json: bool = False
+    """Print JSON: times in ns, sizes in bytes."""
 
     def run(self) -> int:
         """Print it; exit code 1 if a bag of a folder cannot be read."""
@@ -38,9 +43,12 @@ class _Info:
             return self._list(bags)
         bag = open_bag(self.bag)
         with reading(bag):
-            text = bag_info(bag, self.metrics).text()
-        print(text)
+            found = bag_info(bag, self.metrics)
+        print(self._shown(found))
         return 0
+
+    def _shown(self, found: BagInfo | BagList) -> str:
+        return json.dumps(found.content(), indent=1) if self.json else found.text()
 
     def _list(self, bags: list[Path]) -> int:
         """Print a line for each bag, and totals."""
@@ -48,7 +56,7 @@ class _Info:
 
         with progress('reading', len(bags)) as show:
             found = list_bags(bags, self.metrics, lambda done, bag: show(done, text=bag.path.name))
-        print(found.text())
+        print(self._shown(found))
         return _EXIT_DIFFERENT if found.unreadable else 0
 
 

@@ -11,11 +11,11 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from shepherd_ros.bringup import Process, stack_in
 from shepherd_ros.cli.out_folders import claimed_folder
 from shepherd_ros.cli.processes import isolate, Running, running
+from shepherd_ros.cli.progress import progress
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.experiments.setting_arguments import OneSetting
 
@@ -68,7 +68,7 @@ class Demo(OneSetting):
         from shepherd_ros.nodes.episode_probe import open_episode_probe
 
         with running(self.out / 'logs') as processes, open_episode_probe() as (probe, hear):
-            self._herd(stack, setting.steps, processes, probe, hear, console)
+            self._herd(stack, setting.steps, processes, probe, hear)
         console.print(self._table(probe.metrics))
         if any(isnan(value) for value in probe.metrics.values()):
             console.print('nan: the node metrics has not heard every state')
@@ -90,13 +90,10 @@ class Demo(OneSetting):
         processes: Running,
         probe: EpisodeProbe,
         hear: Callable[[float], None],
-        console: Console,
     ) -> None:
         """Start everything, the controller last, and follow the episode to its end."""
-        text = TextColumn('step {task.completed:.0f}/{task.total:.0f}')
-        columns = text, BarColumn(), TextColumn('{task.description}'), TimeElapsedColumn()
-        with Progress(*columns, console=console) as progress:
-            task = progress.add_task('starting processes', total=steps)
+        with progress('herding', steps) as show:
+            show(0, text='(processes start)')
             processes.start(stack[:-1])
             self._until(lambda: probe.is_complete, processes, probe, hear)
             processes.start(stack[-1:])
@@ -104,10 +101,11 @@ class Demo(OneSetting):
             def done() -> bool:
                 metrics = probe.metrics
                 text = (
+                    f'step {max(probe.step, 0)} of {steps}, '
                     f'{metrics["fraction_in_goal"]:4.0%} in goal, flock '
                     f'{metrics["goal_distance"]:5.1f} m from its center'
                 )
-                progress.update(task, completed=max(probe.step, 0), description=text)
+                show(max(probe.step, 0), text=text)
                 return processes.ended('flock_sim')
 
             self._until(done, processes, probe, hear)
@@ -182,6 +180,6 @@ class Demo(OneSetting):
         console.print(f'wrote {picture}')
         if self.animation != 'none':
             film = self.out / f'herding.{self.animation}'
-            with console.status(f'drawing {film}'):
+            with progress(f'drawing {film}'):
                 animate(track, film)
             console.print(f'wrote {film}')

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from textwrap import fill
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -31,12 +32,14 @@ SUMMARY = (
     ('flock_spread', False),
     ('fraction_in_goal', True),
 )
+ABREAST = 2  # panels beside each other, so that a phone shows the picture in a size to read
+WIDEST = 22  # characters of a line below a panel
 QUESTION = 'Is the learned policy better?'
 
 
 def draw_summary(experiments: Iterable[Samples]) -> Figure | None:
     """
-    Return the figure of policies and heuristics, a line for each flock; None without results.
+    Return the figure of policies and heuristics, two lines for each flock; None without results.
 
     It is of the default setting. A word compares each policy with the better of the heuristics:
     `same` unless the 95 % interval of the difference, start by start, excludes 0, for fractions
@@ -50,13 +53,14 @@ def draw_summary(experiments: Iterable[Samples]) -> Figure | None:
             blocks.setdefault(first.flock, (samples, samples.settings.index(default)))
     if not blocks:
         return None
-    figure, panels = new_figure(len(blocks), len(SUMMARY), 2.75, 2.1)
-    for (flock, (samples, row)), line in zip(blocks.items(), panels, strict=True):
+    figure, panels = new_figure(len(blocks) * len(SUMMARY) // ABREAST, ABREAST, 2.35, 1.75)
+    lines = panels.reshape(len(blocks), len(SUMMARY))
+    for (flock, (samples, row)), line in zip(blocks.items(), lines, strict=True):
         _compare(samples, row, line)
         sheep, episodes = samples.settings[row].sheep, len(samples.seeds)
         text = f'{flock} flock of {sheep} (n = {episodes} episodes of {samples.steps} steps)'
-        line[0].set_title(text, fontsize=9, loc='left', color=INK)
-    text = f'{QUESTION} Mean and 95 % interval; grey: the better of the two heuristics'
+        line[0].set_title(text, fontsize=9, loc='left', color=INK, x=-0.6)
+    text = f'{QUESTION}\nMean, 95 % interval; grey: the better heuristic'
     figure.suptitle(text, fontsize=10, color=INK)
     return figure
 
@@ -85,8 +89,11 @@ def _compare(samples: Samples, setting: int, line: Sequence[Axes]) -> None:
             style['weight'] = 'bold' if word == 'better' else 'normal'
             axes.text(1.03, row, word, transform=axes.get_yaxis_transform(), **style)
         limit(axes, metric, along='x')
-        tidy(axes, f'{axis_label(metric)}\n{"more" if more else "less"} is better', '')
-        axes.set_yticks(range(len(names)), [label(n) if k == 0 else '' for n in names])
+        axes.set_xlim(0, axes.get_xlim()[1] * 1.08)
+        text = f'{fill(axis_label(metric), WIDEST)}\n{"more" if more else "less"} is better'
+        tidy(axes, text, '')
+        shown = [label(name).removesuffix(' (ours)') for name in names]
+        axes.set_yticks(range(len(names)), [''] * len(names) if k % ABREAST else shown)
         axes.set_ylim(len(names) - 0.5, -0.5)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from shepherd_ros.recordings.info import bag_info, BagInfo, size_text
 from shepherd_ros.rosbag2.bag import Bag
@@ -35,6 +36,11 @@ class BagList:
         ]
         lines += [f'{name}  {why}' for name, why in sorted(self.unreadable.items())]
         return '\n'.join([*lines, '', *self._totals()])
+
+    def content(self) -> dict[str, Any]:
+        """Return the same as plain data for JSON, without totals."""
+        bags = {name: info.content() for name, info in sorted(self.bags.items())}
+        return {'bags': bags, 'unreadable': self.unreadable}
 
     def _totals(self) -> list[str]:
         """Return the lines below the table."""

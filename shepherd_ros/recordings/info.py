@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
+import math
+from typing import Any
 
 from shepherd_ros.recordings.grouping import namespaces, RecordedGroups, STATES
 from shepherd_ros.rosbag2.bag import Bag
@@ -13,6 +15,9 @@ from shepherd_ros.rosbag2.qos import agreed_policy, duration_ns
 from shepherd_ros.wire.topics import GOAL
 
 INDENT = 19  # as in ros2 bag info
+_PLAIN = (
+    'namespace', 'number', 'seed', 'n_sheep', 'n_shepherds', 'states', 'expected', 'last', 'whole',
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,13 @@ class EpisodeSummary:
     def whole(self) -> bool:
         """Return whether no state is missing."""
         return self.states == self.expected
+
+    def content(self) -> dict[str, Any]:
+        """Return the same as plain data for JSON, without metrics where earlier states lack."""
+        plain = {name: getattr(self, name) for name in _PLAIN}
+        counted = self.values if self.states == self.last + 1 else {}
+        values = {k: float(v) if math.isfinite(v) else None for k, v in counted.items()}
+        return plain | {'metrics': values}
 
     @property
     def row(self) -> list[str]:
@@ -90,6 +102,25 @@ class BagInfo:
             for i, value in enumerate(values or ['']):
                 lines.append(f'{"" if i else name:<{INDENT}}{value}'.rstrip())
         return '\n'.join(lines)
+
+    def content(self) -> dict[str, Any]:
+        """Return the same as plain data for JSON: times in ns, sizes in bytes."""
+        return {
+            'files': self.files,
+            'size': self.size,
+            'storage': self.storage,
+            'distro': self.distro,
+            'compression': self.compression,
+            'start_ns': self.start_ns,
+            'end_ns': self.end_ns,
+            'messages': self.messages,
+            'topics': [
+                {'name': t.name, 'type': t.type, 'count': t.count, 'encoding': t.serialization}
+                for t in self.topics
+            ],
+            'custom_data': self.custom_data,
+            'episodes': [episode.content() for episode in self.episodes],
+        }
 
     def _metrics_table(self) -> list[str]:
         """Return a line for each episode, and the means of those that are whole."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import hashlib
+import json
 from pathlib import Path
 import re
 
@@ -111,6 +112,30 @@ def test_an_episode_in_part_is_marked_and_in_no_mean(
     assert lines[0].split() == whole[0].split()
     assert '-' not in lines[1].split()
     assert lines[1].endswith(f'not whole: until step {STEPS - 1}')
+
+
+def test_info_is_also_json(tmp_path: Path, shepherd: Callable[..., Said]) -> None:
+    tiny_bag(tmp_path / 'bags' / 'whole')
+    write(tmp_path / 'bags' / 'gap', without(MESSAGES, '/flock/poses', 2))
+    found = json.loads(shepherd('info', tmp_path / 'bags', '--json')[1])
+    assert found['unreadable'] == {}
+    whole, gap = found['bags']['whole'], found['bags']['gap']
+    assert whole == json.loads(shepherd('info', tmp_path / 'bags' / 'whole', '--json')[1])
+    assert (whole['messages'], gap['messages']) == (len(MESSAGES), len(MESSAGES) - 1)
+    assert whole['start_ns'] == MESSAGES[0].log_ns
+    counts = {topic['name']: topic['count'] for topic in whole['topics']}
+    assert counts['/flock/poses'] == STATES
+    assert [(e['seed'], e['whole'], e['states']) for e in gap['episodes']] == [
+        (7, False, STEPS),
+        (8, True, STEPS + 1),
+    ]
+    assert gap['episodes'][0]['metrics'] == {}  # which are not those of a whole episode
+    assert gap['episodes'][1] == whole['episodes'][1]
+    ends = [curve_ends(episode) for episode in iter_episodes(open_bag(tmp_path / 'bags/whole'))]
+    for episode, end in zip(whole['episodes'], ends, strict=True):
+        told = episode['metrics']
+        assert told['fraction_in_goal'] == end['fraction_in_goal']
+        assert told['completion_time'] in (end['completion_time'], None)
 
 
 def test_info_of_a_folder_lists_its_bags(tmp_path: Path, shepherd: Callable[..., Said]) -> None:
