@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from shepherd_ros.experiments.bootstrap import Array, percentiles, resampled_means
 from shepherd_ros.experiments.samples import Samples
 
-AGREES, DISAGREES, UNDECIDED = 'agrees', 'disagrees', 'undecided'
+AGREES, BETTER, DISAGREES, UNDECIDED = VERDICTS = ('agrees', 'better', 'disagrees', 'undecided')
+ABOVE, BELOW = 'above', 'below'  # sides of bounds
 ABOUT_TOLERANCE = 0.2  # a ratio is `about` a value if it is within this share of it
 SHARE_TOLERANCE = 0.02  # a fraction is near a value if it is within this
+HIGH_SHARE = 0.9  # a `high` share of the flock
 
 # what is counted until completion instead of over the whole episode
 TO_COMPLETION = {
@@ -36,6 +38,7 @@ class Sweep:
         """Use samples; policy stands for the paper's RL, '' without one."""
         self.samples, self.policy, self.to_completion = samples, policy, to_completion
         self.used_means: set[tuple[str, str]] = set()  # method and metric
+        self.used_points = np.zeros(len(samples.settings), bool)
         axis = samples.experiment.axes[0]
         points = range(len(samples.settings)) if axis == 'case' else samples.axis(axis)
         self.x: Array = np.array([float(x) for x in points])
@@ -48,11 +51,11 @@ class Sweep:
         if (name, metric) not in self.samples.values:
             raise MissingError(f'no rows of {name or "a policy"}')
         values = self.samples.values[name, metric]
-        if where is not None:
-            chosen = where(self.x)
-            if not bool(np.any(chosen)):
-                raise MissingError('no rows at these points')
-            values = values[chosen]
+        chosen = np.ones(len(values), bool) if where is None else np.asarray(where(self.x))
+        if not chosen.any():
+            raise MissingError('no rows at these points')
+        self.used_points |= chosen
+        values = values[chosen]
         if np.isnan(values).any():
             raise MissingError(f'rows of {name} are not complete')
         mean = values.mean(axis=-1, keepdims=True)
@@ -62,18 +65,32 @@ class Sweep:
         """Return the means at one point, (1 + draws,)."""
         return self.mean(method, metric, lambda axis: np.isclose(axis, x))[0]
 
+    def brings_home(self) -> bool:
+        """Return whether RL, if it was used, brings a high share home at every used point."""
+        if not any(method == 'RL' for method, _ in self.used_means):
+            return True
+        shares = self.samples.values[self.policy, 'fraction_reached'][self.used_points]
+        return bool(shares.mean(axis=-1).min() >= HIGH_SHARE)
+
 
 Quantity = Callable[[Sweep], Array]  # -> (1 + draws,)
 
 
 @dataclass(frozen=True)
 class Clause:
-    """A number, and the bounds within which it agrees with the paper."""
+    """
+    A number, and the bounds within which it agrees with the paper.
+
+    better is the side of the bounds on which it is better for whom RL drives: a shorter time or
+    path, a tighter flock, more sheep home. Of a baseline alone only more sheep home is better, and
+    not where the paper states that it fails.
+    """
 
     text: str
     quantity: Quantity
     low: float = -math.inf
     high: float = math.inf
+    better: str = ''
 
     @property
     def bounds(self) -> str:
@@ -96,7 +113,11 @@ class Claim:
 
 @dataclass(frozen=True)
 class ClauseFinding:
-    """Result of a clause: our number, its interval, the verdict, or the reason for none."""
+    """
+    Result of a clause: our number, its interval, the verdict, or the reason for none.
+
+    strict is the verdict by the bounds alone, which knows no `better`.
+    """
 
     clause: Clause
     value: float
@@ -104,9 +125,10 @@ class ClauseFinding:
     high: float
     verdict: str
     reason: str = ''
+    strict: str = UNDECIDED
 
 
-def verdict(low: float, high: float, lower: float, upper: float) -> str:
+def strict_verdict(low: float, high: float, lower: float, upper: float) -> str:
     """
     Return the verdict on a number with interval [low, high] and bounds [lower, upper].
 
@@ -120,8 +142,25 @@ def verdict(low: float, high: float, lower: float, upper: float) -> str:
     return DISAGREES if high < lower or low > upper else UNDECIDED
 
 
+def verdict(low: float, high: float, lower: float, upper: float, better: str = '') -> str:
+    """
+    Return the verdict on a number, one side of whose bounds may be better.
+
+    Where strict_verdict() disagrees, it is `better` on that side. With a bound on the other side,
+    too, it also agrees where the interval crosses the bound to the better side alone.
+    """
+    strict = strict_verdict(low, high, lower, upper)
+    if better == BELOW:  # mirrored
+        low, high, lower, upper = -high, -low, -upper, -lower
+    if not better or strict == AGREES:
+        return strict
+    if strict == DISAGREES:
+        return BETTER if low > upper else DISAGREES
+    return AGREES if math.isfinite(lower) and lower <= low and upper < high else UNDECIDED
+
+
 def finding_of(clause: Clause, sweep: Sweep) -> ClauseFinding:
-    """Return the finding on a clause."""
+    """Return the finding on a clause; nothing is better where RL leaves sheep behind."""
     nan = math.nan
     if len(sweep.samples.seeds) < 2:
         return ClauseFinding(clause, nan, nan, nan, UNDECIDED, 'a single episode has no interval')
@@ -131,13 +170,16 @@ def finding_of(clause: Clause, sweep: Sweep) -> ClauseFinding:
     except MissingError as error:
         return ClauseFinding(clause, nan, nan, nan, UNDECIDED, str(error))
     low, high = (float(end) for end in percentiles(resampled[1:]))
-    return ClauseFinding(
-        clause, float(resampled[0]), low, high, verdict(low, high, clause.low, clause.high)
-    )
+    strict = strict_verdict(low, high, clause.low, clause.high)
+    result, reason = verdict(low, high, clause.low, clause.high, clause.better), ''
+    if result != strict and not sweep.brings_home():
+        result, reason = strict, f'no better, as RL brings less than {HIGH_SHARE} home'
+    return ClauseFinding(clause, float(resampled[0]), low, high, result, reason, strict)
 
 
 def combined_verdict(verdicts: list[str]) -> str:
     """Return the verdict on a statement from those on its clauses."""
-    if DISAGREES in verdicts:
-        return DISAGREES
-    return AGREES if verdicts and set(verdicts) == {AGREES} else UNDECIDED
+    for kind in (DISAGREES, UNDECIDED, BETTER):
+        if kind in verdicts:
+            return kind
+    return AGREES if verdicts else UNDECIDED

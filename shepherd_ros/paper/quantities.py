@@ -9,13 +9,17 @@ import numpy as np
 from shepherd_ros.experiments.bootstrap import Array
 from shepherd_ros.paper.claims import ABOUT_TOLERANCE, Clause, Quantity, Sweep, Where
 
-TIME = 'completion_time'
+TIME, PATH, SPREAD = 'completion_time', 'shepherd_path_length', 'flock_spread'
+FLOCK, SHARE = 'flock_path_length', 'fraction_reached'
+RL, S, P = 'RL', 'strombom', 'pierson'
+METHODS = (RL, S, P)
 FLAT_TOLERANCE = 0.1  # a curve is `constant` if it stays within this share of its first value
 
 
-def about(text: str, quantity: Quantity, value: float) -> Clause:
+def about(text: str, quantity: Quantity, value: float, better: str = '') -> Clause:
     """Return the clause that a number is within ABOUT_TOLERANCE of a value."""
-    return Clause(text, quantity, (1 - ABOUT_TOLERANCE) * value, (1 + ABOUT_TOLERANCE) * value)
+    low, high = (1 - ABOUT_TOLERANCE) * value, (1 + ABOUT_TOLERANCE) * value
+    return Clause(text, quantity, low, high, better)
 
 
 def ratio(method: str, other: str, metric: str) -> Quantity:
@@ -36,10 +40,17 @@ def worst(
     return quantity
 
 
-def below(text: str, metric: str, method: str, *others: str, where: Where | None = None) -> Clause:
+def below(
+    text: str,
+    metric: str,
+    method: str,
+    *others: str,
+    where: Where | None = None,
+    better: str = '',
+) -> Clause:
     """Return the clause that a method is below all others at every point."""
     full = f'{text}: largest ratio over all points'
-    return Clause(full, worst(metric, (method,), others, where), high=1.0)
+    return Clause(full, worst(metric, (method,), others, where), high=1.0, better=better)
 
 
 def above(
@@ -49,10 +60,12 @@ def above(
     *others: str,
     where: Where | None = None,
     least: float = 1.0,
+    better: str = '',
 ) -> Clause:
     """Return the clause that a method is above all others at every point, by a factor."""
     quantity = worst(metric, others, (method,), where)
-    return Clause(f'{text}: smallest ratio over all points', lambda s: 1 / quantity(s), low=least)
+    full = f'{text}: smallest ratio over all points'
+    return Clause(full, lambda s: 1 / quantity(s), low=least, better=better)
 
 
 def slope(method: str, metric: str) -> Quantity:
