@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from shepherd_ros.experiments.bootstrap import Array
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.lidar import scan
@@ -18,10 +19,11 @@ HALF_SIDE = 25.0  # [m] half the side of the plane, as in the paper
 GRID_POINTS = 41  # along each side
 MARGIN = 5.0  # [m] of a map around all bodies
 N_SHEEP = 10
-HIGH_VALUE = 0.8  # threshold of high values, from the lowest (0) to the highest (1)
-BEHIND_COSINE = (
-    0.5  # cosine of 60 degrees: the best place is behind the flock if it is within them
-)
+PATCH = 5  # places along each side of a patch, over which values are averaged
+PERCENTILES = (2.0, 98.0)  # ends of the range of values
+HIGH_VALUE = 0.8  # threshold of high values, from the low end of the range (0) to the high one (1)
+BEHIND_COSINE = 0.5  # cosine of 60 degrees: a place within them is behind the flock
+NEAR = 10.0  # [m] of the flock's center: near the flock
 
 
 @dataclass(frozen=True)
@@ -34,24 +36,55 @@ class ValueMap:
     goal_radius: float
 
     @property
+    def patches(self) -> Array:
+        """Return the mean values of patches, (PLACES - PATCH + 1, the same)."""
+        return np.asarray(sliding_window_view(self.values, (PATCH, PATCH)).mean(axis=(-2, -1)))
+
+    @property
+    def best(self) -> Array:
+        """Return the center of the best patch, (2,) m."""
+        row, column = np.unravel_index(self.patches.argmax(), self.patches.shape)
+        axis = places()
+        return np.array([axis[column + PATCH // 2], axis[row + PATCH // 2]])
+
+    @property
     def behind(self) -> float:
         """
-        Return the cosine of the angle between the best place and straight behind the flock.
+        Return the cosine of the angle between the best patch and straight behind the flock.
 
         Both are seen from the flock; 1 is straight behind it, -1 between flock and goal.
         """
-        row, column = np.unravel_index(self.values.argmax(), self.values.shape)
-        grid = np.linspace(-HALF_SIDE, HALF_SIDE, GRID_POINTS)
-        center = self.sheep.mean(axis=0)
-        offset = np.array([grid[column], grid[row]]) - center
+        offset, center = self.best - self.sheep.mean(axis=0), self.sheep.mean(axis=0)
         lengths = np.linalg.norm(offset) * np.linalg.norm(center)
         return float(offset @ center / max(lengths, 1e-9))
 
     @property
+    def gradient(self) -> float:
+        """
+        Return the mean value behind the flock less that in front of it, over the range of values.
+
+        Places are NEAR the flock and within 60 degrees of straight behind or straight in front.
+        """
+        center = self.sheep.mean(axis=0)
+        offset = np.stack(np.meshgrid(places(), places()), axis=-1) - center
+        distance = np.linalg.norm(offset, axis=-1)
+        lengths = np.maximum(distance * np.linalg.norm(center), 1e-9)
+        cosine, near = offset @ center / lengths, distance <= NEAR
+        behind, front = near & (cosine >= BEHIND_COSINE), near & (cosine <= -BEHIND_COSINE)
+        low, high = np.percentile(self.values, PERCENTILES)
+        difference = self.values[behind].mean() - self.values[front].mean()
+        return float(difference / max(high - low, 1e-9))
+
+    @property
     def high_share(self) -> float:
         """Return the fraction of the plane with high values."""
-        low, high = self.values.min(), self.values.max()
+        low, high = np.percentile(self.values, PERCENTILES)
         return float((self.values > low + HIGH_VALUE * (high - low)).mean())
+
+
+def places() -> Array:
+    """Return the places of a map along each side, (GRID_POINTS,) m."""
+    return np.linspace(-HALF_SIDE, HALF_SIDE, GRID_POINTS)
 
 
 def value_map(policy: Policy, seed: int = 0) -> ValueMap:

@@ -156,7 +156,8 @@ def verdict(low: float, high: float, lower: float, upper: float, better: str = '
         return strict
     if strict == DISAGREES:
         return BETTER if low > upper else DISAGREES
-    return AGREES if math.isfinite(lower) and lower <= low and upper < high else UNDECIDED
+    known = math.isfinite(low) and math.isfinite(high) and math.isfinite(lower)
+    return AGREES if known and lower <= low <= upper else UNDECIDED
 
 
 def finding_of(clause: Clause, sweep: Sweep) -> ClauseFinding:

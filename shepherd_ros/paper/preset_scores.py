@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from shepherd_ros.paper.preset_search import findings, KnownTables, score_of
-from shepherd_ros.paper.report import bounds, finding_text
+from shepherd_ros.paper.verdict_tables import bounds, finding_text
 from shepherd_ros.sim.presets import PRESETS
 
 
@@ -36,9 +36,9 @@ def preset_scores(
     lines = [head, ['---', '---', '--:', *('--:' for _ in findings_by_preset)]]
     for key, first in findings_by_preset[names[0]].items():
         text = first.clause.text
-        each = [f'{finding_text(f[key])}, {f[key].verdict}' for f in findings_by_preset.values()]
+        each = [f'{finding_text(f[key])}, {f[key].strict}' for f in findings_by_preset.values()]
         lines.append([key.removesuffix(f': {text}'), text, bounds(first.clause), *each])
-    scores = [score_of(f.verdict for f in each.values()) for each in findings_by_preset.values()]
+    scores = [score_of(f.strict for f in each.values()) for each in findings_by_preset.values()]
     count = len(lines) - 2
     lines.append(['**score**', '', '', *(f'**{score:g} of {count}**' for score in scores)])
     return '\n'.join(f'| {" | ".join(line)} |' for line in lines)

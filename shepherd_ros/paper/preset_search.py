@@ -166,7 +166,7 @@ def attempt(
     result = findings(preset_of(candidate), episodes, steps, known)
     return Tried(
         candidate,
-        {key: f.verdict for key, f in result.items()},
+        {key: f.strict for key, f in result.items()},
         {key: f.value for key, f in result.items()},
         {key: gap_of(f.value, f.clause.low, f.clause.high) for key, f in result.items()},
     )

@@ -29,31 +29,34 @@ from shepherd_ros.experiments.results import (
 from shepherd_ros.experiments.samples import Samples, samples_of
 from shepherd_ros.experiments.setting import canonical_setting, env_config, Setting
 from shepherd_ros.experiments.table import grid, grids, interval_text, markdown
-from shepherd_ros.experiments.value_map import value_map
-from shepherd_ros.paper import verdicts
+from shepherd_ros.experiments.value_map import places, value_map, ValueMap
 from shepherd_ros.paper.claims import (
+    ABOVE,
     AGREES,
+    BELOW,
+    BETTER,
     Clause,
     ClauseFinding,
     combined_verdict,
     DISAGREES,
     finding_of,
+    strict_verdict,
     Sweep,
     UNDECIDED,
     verdict,
 )
 from shepherd_ros.paper.curves import Curve, curve_verdict, find_curves, smoothed
+from shepherd_ros.paper.primary import has_critic, primary_policies, trained_on
 from shepherd_ros.paper.quantities import below, change, ratio, slope
-from shepherd_ros.paper.report import verdict_summary
 from shepherd_ros.paper.statements import CLAIMS
+from shepherd_ros.paper.value_verdicts import AREAS, BEHIND, verdicts_on_values
+from shepherd_ros.paper.verdict_tables import counts_by_figure
 from shepherd_ros.paper.verdicts import (
-    has_critic,
-    is_trained_as_in_paper,
-    trained_on,
+    counts,
+    plain,
     Verdict,
     verdicts_on_curves,
     verdicts_on_samples,
-    verdicts_on_values,
 )
 from shepherd_ros.policy.checkpoint import save_policy
 from shepherd_ros.policy.policy import Policy, PolicyConfig
@@ -269,10 +272,72 @@ def test_the_same_episodes_are_drawn_every_time_and_one_alone_has_no_interval() 
     ],
 )
 def test_an_interval_is_held_against_bounds(low: float, high: float, expected: str) -> None:
+    assert strict_verdict(low, high, 1.0, 2.0) == expected
     assert verdict(low, high, 1.0, 2.0) == expected
 
 
+@pytest.mark.parametrize(
+    ('low', 'high', 'lower', 'upper', 'expected'),
+    [
+        (1.1, 1.9, 1.0, 2.0, AGREES),
+        (2.1, 3.0, 1.0, 2.0, BETTER),
+        (0.5, 0.9, 1.0, 2.0, DISAGREES),
+        (1.5, 2.5, 1.0, 2.0, AGREES),  # crosses only the bound to the better side
+        (1.0, 9.0, 1.0, 2.0, AGREES),
+        (0.9, 1.5, 1.0, 2.0, UNDECIDED),
+        (0.9, 2.5, 1.0, 2.0, UNDECIDED),
+        (1.1, 1.2, -math.inf, 1.0, BETTER),  # the other way round, and better so
+        (0.9, 1.1, -math.inf, 1.0, UNDECIDED),
+        (0.8, 0.9, -math.inf, 1.0, AGREES),
+        (math.nan, math.nan, 1.0, 2.0, UNDECIDED),
+        (2.5, math.inf, 1.0, 2.0, UNDECIDED),
+    ],
+)
+def test_a_number_on_the_better_side_of_its_bounds_is_better(
+    low: float, high: float, lower: float, upper: float, expected: str
+) -> None:
+    assert verdict(low, high, lower, upper, ABOVE) == expected
+    assert verdict(-high, -low, -upper, -lower, BELOW) == expected
+
+
+def test_nothing_is_better_where_the_policy_leaves_sheep_behind() -> None:
+    clause = Clause('', ratio('pierson', 'RL', 'shepherd_path_length'), 3.0, 5.0, ABOVE)
+    paths = {'rl_shepherd_path_length': [1.0] * 6, 'pierson_shepherd_path_length': [9.0] * 6}
+    for last, expected in ((0.95, BETTER), (0.85, DISAGREES)):
+        samples = figure('fig5', rl_fraction_reached=[1.0] * 5 + [last], **paths)
+        found = finding_of(clause, Sweep(samples, POLICY))
+        assert (found.verdict, found.strict) == (expected, DISAGREES)
+        assert ('no better' in found.reason) == (expected == DISAGREES)
+    # where the number does not look, nothing is asked
+    first = Clause('', change('RL', 'shepherd_path_length', 1, 2), high=0.5, better=ABOVE)
+    samples = figure('fig5', rl_fraction_reached=[1.0] * 5 + [0.2], **paths)
+    assert finding_of(first, Sweep(samples, POLICY)).verdict == BETTER
+
+
+def test_better_is_said_of_numbers_with_the_policy_or_of_more_sheep_at_home() -> None:
+    samples = {
+        name: figure(name, **{
+            f'{who}_{metric}': np.ones(len(EXPERIMENTS[name].settings))
+            for who in ('rl', 'strombom', 'pierson') for metric in value_names()
+        })
+        for name in ('fig4', 'fig5', 'fig6', 'fig7', 'fig8', 'fractions')
+    }  # fmt: skip
+    marked = 0
+    for claim in CLAIMS:
+        for clause in claim.clauses:
+            sweep = Sweep(samples[claim.experiment], POLICY)
+            finding_of(clause, sweep)
+            if clause.better:
+                marked += 1
+                with_policy = any(method == 'RL' for method, _ in sweep.used_means)
+                assert with_policy or {m for _, m in sweep.used_means} == {'fraction_reached'}
+    assert marked == 15
+
+
 def test_a_statement_holds_if_all_its_numbers_do() -> None:
+    assert combined_verdict([AGREES, BETTER]) == BETTER
+    assert combined_verdict([BETTER, UNDECIDED]) == UNDECIDED
+    assert combined_verdict([BETTER, DISAGREES]) == DISAGREES
     assert combined_verdict([AGREES, AGREES]) == AGREES
     assert combined_verdict([AGREES, UNDECIDED]) == UNDECIDED
     assert combined_verdict([UNDECIDED, DISAGREES, AGREES]) == DISAGREES
@@ -319,7 +384,7 @@ AS_IN_THE_PAPER = {
 
 
 def test_numbers_like_those_of_the_paper_agree_with_all_it_states_on_figure_4() -> None:
-    outcomes = verdicts_on_samples(figure('fig4', **AS_IN_THE_PAPER))
+    outcomes = verdicts_on_samples(figure('fig4', **AS_IN_THE_PAPER), POLICY)
     assert len(outcomes) == sum(claim.experiment == 'fig4' for claim in CLAIMS)
     assert [j.verdict for j in outcomes] == [AGREES] * len(outcomes)
 
@@ -329,7 +394,9 @@ def test_numbers_the_other_way_round_disagree() -> None:
         name.replace('rl_', 'x_').replace('pierson_', 'rl_').replace('x_', 'pierson_'): values
         for name, values in AS_IN_THE_PAPER.items()
     }
-    outcomes = {j.statement: j.verdict for j in verdicts_on_samples(figure('fig4', **other))}
+    outcomes = {
+        j.statement: j.verdict for j in verdicts_on_samples(figure('fig4', **other), POLICY)
+    }
     for start in ('Pierson is the fastest', 'Pierson shepherds', 'RL has the shortest'):
         assert next(v for s, v in outcomes.items() if s.startswith(start)) == DISAGREES
 
@@ -337,7 +404,7 @@ def test_numbers_the_other_way_round_disagree() -> None:
 def test_a_policy_that_was_not_trained_on_reynolds_gets_no_verdict_there() -> None:
     high = np.full(10, 0.99)
     samples = figure('fig8', rl_fraction_reached=high, pierson_fraction_reached=high)
-    judged = verdicts_on_samples(samples)
+    judged = verdicts_on_samples(samples, POLICY)
     mine = [j for j in judged if j.policy]
     assert mine
     assert {j.verdict for j in mine} == {UNDECIDED}
@@ -346,12 +413,44 @@ def test_a_policy_that_was_not_trained_on_reynolds_gets_no_verdict_there() -> No
     assert next(j for j in judged if j.statement.startswith('Pierson brings')).verdict == AGREES
 
 
-def test_only_a_policy_trained_as_the_papers_counts() -> None:
-    assert is_trained_as_in_paper('', 'strombom')
-    assert is_trained_as_in_paper('policy:strombom', 'strombom')
-    assert not is_trained_as_in_paper('policy:strombom', 'reynolds')
-    assert not is_trained_as_in_paper('policy:reynolds', 'strombom')
-    assert not is_trained_as_in_paper('policy:imitation', 'strombom'), 'no reinforcement learning'
+def test_each_policy_is_judged_alone_and_only_the_primary_one_counts() -> None:
+    high = np.full(10, 0.99)
+    samples = figure('fig4', **AS_IN_THE_PAPER, rl_fraction_reached=high)
+    worse = {
+        ('policy:other', metric): values * (3.0 if metric == 'shepherd_path_length' else 1.0)
+        for (name, metric), values in samples.values.items()
+        if name == POLICY
+    }
+    both = replace(samples, values=samples.values | worse)
+    for primary, other in ((POLICY, 'policy:other'), ('policy:other', POLICY)):
+        judged = verdicts_on_samples(both, primary)
+        assert {j.policy for j in judged if j.primary} <= {primary, ''}
+        assert {j.policy for j in judged if not j.primary} == {other}
+        alone = verdicts_on_samples(samples, POLICY)
+        mine = [j.verdict for j in judged if j.policy in (POLICY, '')]
+        assert mine == [j.verdict for j in alone], 'another policy changes nothing'
+        assert sum(counts(judged).values()) == len(alone)
+    assert counts(verdicts_on_samples(both, POLICY))[AGREES] == 7
+    assert counts(verdicts_on_samples(both, 'policy:other'))[AGREES] < 7
+    missing = verdicts_on_samples(samples, 'policy:none')
+    assert {j.verdict for j in missing if j.policy == 'policy:none'} == {UNDECIDED}
+    assert missing[0].findings[0].reason == 'no rows of policy:none'
+
+
+def test_a_primary_policy_stands_for_the_flock_of_its_training() -> None:
+    default = primary_policies('default')
+    assert default == {'strombom': 'policy:paper_network', 'reynolds': 'policy:reynolds'}
+    for flock, name in default.items():
+        assert trained_on(name) == {flock}
+        assert has_critic(name), 'PPO, as in the paper'
+    assert set(primary_policies('third').values()) == {
+        'policy:third_strombom', 'policy:third_reynolds'
+    }  # fmt: skip
+    chosen = primary_policies('third', ('policy:reynolds',))
+    assert chosen == {'strombom': 'policy:third_strombom', 'reynolds': 'policy:reynolds'}
+    assert set(primary_policies('third', ('policy:general',)).values()) == {'policy:general'}
+    with pytest.raises(ConfigError, match='expected one policy for the strombom flock'):
+        primary_policies('default', ('policy:strombom', 'policy:imitation'))
 
 
 @pytest.mark.parametrize(
@@ -408,7 +507,9 @@ def test_curves_are_found_in_files_and_runs(tmp_path: Path) -> None:
         path.write_text('\n'.join(map(json.dumps, lines)))
     found = find_curves([tmp_path])
     assert [(c.name, c.returns.tolist()) for c in found] == [('a', [0, 1, 2]), ('run', [0, 1, 2])]
-    assert verdicts_on_curves([])[0].verdict == UNDECIDED
+    (missing,) = verdicts_on_curves([], 'policy:x')
+    assert (missing.verdict, missing.primary) == (UNDECIDED, True)
+    assert missing.findings[0].reason == 'no curve of x'
     (tmp_path / 'b.jsonl').write_text('{"loss": 1}')
     with pytest.raises(ConfigError, match=r'b.jsonl is no curve of a training'):
         find_curves([tmp_path / 'b.jsonl'])
@@ -419,10 +520,11 @@ def test_trainings_of_one_policy_are_judged_together() -> None:
     names = {'a': flat, 'b': flat, 'a.seed_1': steep}
     samples = np.linspace(0, 100e6, 40)
     curves = [Curve(name, samples, np.array(r, float), True) for name, r in names.items()]
-    first, second = verdicts_on_curves(curves)
-    assert (first.policy, first.verdict) == ('a', DISAGREES)  # one of its two does
+    first, second = verdicts_on_curves(curves, 'policy:a')
+    assert (first.policy, first.verdict) == ('policy:a', DISAGREES)  # one of its two does
     assert [f.verdict for f in first.findings] == [AGREES, DISAGREES]
-    assert (second.policy, second.verdict) == ('b', AGREES)
+    assert (second.policy, second.verdict) == ('policy:b', AGREES)
+    assert (first.primary, second.primary) == (True, False)
 
 
 def test_a_smoothed_curve_is_the_mean_within_its_window() -> None:
@@ -441,40 +543,86 @@ def test_a_value_map_is_what_the_critic_says_of_the_third_shepherd() -> None:
     assert len(np.unique(found.values)) > 80
     assert -1.0 <= found.behind <= 1.0
     assert 0.0 < found.high_share < 1.0
-    center = found.sheep.mean(axis=0)
-    best = replace(found, values=np.zeros_like(found.values))
-    grid = np.linspace(-25, 25, 41)
-    column, row = (int(np.abs(grid - 1.4 * c).argmin()) for c in center)
-    best.values[row, column] = 1.0
-    assert best.behind > 0.9
-    assert best.high_share == 1 / 41**2
-    assert {j.verdict for j in verdicts_on_values([])} == {UNDECIDED}
+    assert math.isfinite(found.gradient)
 
 
-def test_areas_are_compared_for_every_pair_of_critics(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(verdicts, 'N_VALUE_MAPS', 2)
-    judged = verdicts_on_values(['policy:strombom', 'policy:paper_network', 'policy:reynolds'])
-    by_statement = [j.policy for j in judged if j.statement.startswith('The areas')]
-    assert len(judged) == 3 + 2
-    assert len(by_statement) == 2
-    assert all(who.endswith('and policy reynolds (ours)') for who in by_statement)
+def value_map_with(**values: Any) -> ValueMap:
+    """Return a map with the flock at (0, 10) m, and values over it as a function of x and y."""
+    x, y = np.meshgrid(places(), places())
+    sheep = np.array([[-1.0, 10.0], [1.0, 10.0]])
+    return ValueMap(values['of'](x, y), sheep, np.array([[0.0, 20.0]] * 2), 4.0)
 
 
-def test_the_summary_counts_a_statement_once_and_as_the_worst_of_its_policies() -> None:
-    def judged(statement: str, policy: str, low: float, counts: bool = True) -> Verdict:
-        clause = Clause('x', slope('pierson', 'completion_time'), 0.0, 1.0)
-        finding = ClauseFinding(clause, low, low, low + 0.2, verdict(low, low + 0.2, 0.0, 1.0))
-        return Verdict('fig4', statement, policy, (finding,), (None,), counts)
+def test_a_speck_is_not_the_best_place() -> None:
+    behind = value_map_with(of=lambda x, y: np.exp(-(x**2 + (y - 18.75) ** 2) / 50))
+    assert behind.best.tolist() == [0.0, 18.75]
+    assert behind.behind == pytest.approx(1.0)
+    speck = np.zeros((41, 41))
+    speck[2, 20] = 5.0  # one place, in front, higher than all
+    spoilt = replace(behind, values=behind.values + speck)
+    assert spoilt.values.argmax() == 2 * 41 + 20
+    assert spoilt.behind == pytest.approx(1.0)
+    assert spoilt.high_share == pytest.approx(behind.high_share, abs=0.01)
+
+
+def test_the_gradient_and_the_area_are_those_by_hand() -> None:
+    # values grow with y: near the flock the mean y of a sector is as far behind as in front
+    slope = value_map_with(of=lambda x, y: y)
+    near = [
+        (x, y) for x in places() for y in places()
+        if math.hypot(x, y - 10) <= 10 and y - 10 >= 0.5 * max(math.hypot(x, y - 10), 1e-12)
+        and (x, y) != (0, 10)
+    ]  # fmt: skip
+    ahead = [20 - y for _, y in near]  # mirrored at the flock
+    low, high = np.percentile(slope.values, [2, 98])
+    expected = (np.mean([y for _, y in near]) - np.mean(ahead)) / (high - low)
+    assert slope.gradient == pytest.approx(expected, rel=0.02)
+    assert value_map_with(of=lambda x, y: -y).gradient == pytest.approx(-slope.gradient)
+    assert value_map_with(of=lambda x, y: x).gradient == pytest.approx(0.0, abs=1e-9)
+    assert slope.high_share == np.mean(places() > low + 0.8 * (high - low))
+
+
+def test_each_critic_is_judged_alone_and_over_flocks() -> None:
+    behind = value_map_with(of=lambda x, y: np.exp(-(x**2 + (y - 17) ** 2) / 200))
+    narrow = value_map_with(of=lambda x, y: np.exp(-(x**2 + (y - 17) ** 2) / 20))
+    front = value_map_with(of=lambda x, y: np.exp(-(x**2 + (y + 17) ** 2) / 10))
+    primary = {'strombom': 'policy:paper_network', 'reynolds': 'policy:reynolds'}
+    maps = {
+        'policy:paper_network': [behind] * 4,
+        'policy:reynolds': [narrow] * 4,
+        'policy:strombom': [front] * 4,
+    }
+    judged = {(j.statement, j.policy): j for j in verdicts_on_values(maps, primary)}
+    both = 'policy:paper_network and policy:reynolds'
+    assert {key: j.verdict for key, j in judged.items()} == {
+        (BEHIND, both): AGREES,
+        (AREAS, both): AGREES,
+        (BEHIND, 'policy:strombom'): DISAGREES,
+        (AREAS, 'policy:strombom'): DISAGREES,  # smaller than that of the other flock
+    }
+    assert [j.primary for j in judged.values()] == [True, True, False, False]
+    spread = maps | {'policy:reynolds': [narrow, narrow, front, front]}
+    again = {j.statement: j.verdict for j in verdicts_on_values(spread, primary) if j.primary}
+    assert again[BEHIND] == UNDECIDED, 'an interval over flocks'
+    assert {j.verdict for j in verdicts_on_values({}, primary)} == {UNDECIDED}
+
+
+def test_the_summary_counts_each_statement_once_with_its_primary_policy() -> None:
+    def judged(statement: str, policy: str, low: float, primary: bool = True) -> Verdict:
+        clause = plain('x', 0.0)
+        found = strict_verdict(low, low + 0.2, 0.0, 1.0)
+        finding = ClauseFinding(clause, low, low, low + 0.2, found, strict=found)
+        return Verdict('fig4', statement, policy, (finding,), (None,), primary)
 
     inside, outside, across = 0.5, 2.0, 0.9
-    lines = verdict_summary([
-        judged('one', 'policy:a', inside), judged('one', 'policy:b', outside),
-        judged('two', 'policy:a', inside), judged('two', 'policy:b', inside),
-        judged('three', 'policy:a', inside), judged('three', 'policy:b', across),
-        judged('four', '', inside), judged('four', 'policy:c', outside, counts=False),
+    lines = counts_by_figure([
+        judged('one', 'policy:a', inside), judged('one', 'policy:b', outside, primary=False),
+        judged('two', 'policy:a', inside), judged('two', 'policy:b', inside, primary=False),
+        judged('three', 'policy:a', outside), judged('three', 'policy:b', inside, primary=False),
+        judged('four', '', across),
     ])  # fmt: skip
-    assert lines[-1] == '| **all** | **2** | **1** | **1** |'
-    assert lines[-2] == '| Figure 4: size of the flock | 2 | 1 | 1 |'
+    assert lines[-1] == '| **all** | **2** | **0** | **1** | **1** |'
+    assert lines[-2] == '| [Figure 4: size of the flock](fig4.md) | 2 | 0 | 1 | 1 |'
 
 
 # ---- files ----
@@ -535,5 +683,9 @@ def test_the_page_has_every_statement_and_the_same_bytes_again(tmp_path: Path) -
     assert 'A trial, not a result' in text
     assert 'shepherd train dagger' in text
     for claim in CLAIMS:
-        if claim.experiment == 'fig6':
-            assert f'| {claim.statement} | **' in text
+        page = (tmp_path / 'a' / f'{claim.experiment}.md').read_text()
+        assert f'| {claim.statement} | **' in page
+        assert page.index('## Statements') < page.index('## Verdict') < page.index('## Cause')
+    found = json.loads((tmp_path / 'a' / 'verdicts.json').read_text())
+    assert list(found) == ['default']
+    assert sum(found['default'].values()) == 35

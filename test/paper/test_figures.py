@@ -21,8 +21,11 @@ from shepherd_ros.experiments.value_map import ValueMap
 from shepherd_ros.paper.curves import Curve
 from shepherd_ros.paper.drawing import save, spaced, style_of
 from shepherd_ros.paper.figures import draw, draw_curves, draw_values
-from shepherd_ros.paper.report import page
+from shepherd_ros.paper.judging import judge
+from shepherd_ros.paper.primary import primary_policies
+from shepherd_ros.paper.report import front_page
 from shepherd_ros.paper.summary import compare_samples, draw_summary, QUESTION
+from shepherd_ros.paper.verdict_picture import draw_verdicts
 from shepherd_ros.policy.checkpoint import shipped_checkpoints
 
 METHODS = ('policy:general', 'policy:imitation', 'strombom', 'pierson', 'drover')
@@ -129,7 +132,7 @@ def test_labels_are_moved_apart_in_their_order() -> None:
 # ---- summary ----
 
 
-def test_the_report_begins_with_the_summary() -> None:
+def test_the_report_begins_with_the_answer() -> None:
     samples = {name: samples_in(name) for name in ('fig4', 'fig8')}
     figure = draw_summary(samples.values())
     assert figure is not None
@@ -148,9 +151,33 @@ def test_the_report_begins_with_the_summary() -> None:
         def __len__(self) -> int:
             return 0
 
-    text = page([], samples, ['fig4', 'summary'], NoRows(), 'make paper')  # type: ignore[arg-type]
-    pictures = [line for line in text.splitlines() if line.startswith('![')]
-    assert text.splitlines()[2] == pictures[0] == f'![{QUESTION}](summary.png)'
+    judged = judge('default', primary_policies('default'), samples, [], {})
+    pictures = ['fig4', 'summary', 'verdicts']
+    text = front_page([judged], {}, pictures, NoRows(), 'make paper')  # type: ignore[arg-type]
+    drawn = [line for line in text.splitlines() if line.startswith('![')]
+    assert text.splitlines()[2] == drawn[0]
+    assert drawn[0].endswith('(verdicts.png)')
+    assert drawn[1] == f'![{QUESTION}](summary.png)'
+    answer = text[: text.index('| preset')].splitlines()
+    assert len([line for line in answer if line.startswith('- ')]) == 10
+
+
+def test_the_picture_of_verdicts_has_a_row_for_each_statement_and_a_letter_for_each_preset() -> (
+    None
+):
+    samples = {name: samples_in(name) for name in ('fig4', 'fig8')}
+    judged = [
+        judge(preset, primary_policies(preset), found, [], {})
+        for preset, found in (('third', {}), ('default', samples))
+    ]
+    (axes,) = draw_verdicts(judged).axes
+    words = [text.get_text() for text in axes.texts]
+    assert sum(word.endswith(']') for word in words) == 35
+    letters = [word for word in words if word in 'ABDU']
+    assert len(letters) == 70
+    assert letters[::2] == ['U'] * 35, 'no rows'
+    for letter, kind in zip('ABDU', judged[1].counts, strict=True):
+        assert letters[1::2].count(letter) == judged[1].counts[kind]
 
 
 def test_a_policy_is_better_only_if_the_interval_says_so() -> None:

@@ -1,0 +1,107 @@
+"""Pages of results, one for each figure: picture, statements, verdict, cause."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from shepherd_ros.config import ConfigError
+from shepherd_ros.experiments.methods import label
+from shepherd_ros.experiments.samples import Samples
+from shepherd_ros.paper.claims import AGREES
+from shepherd_ros.paper.judging import Judged
+from shepherd_ros.paper.verdict_tables import (
+    counts_in_words,
+    number_table,
+    policy_table,
+    TITLES,
+)
+import tomllib
+
+Causes = Mapping[str, Mapping[str, str]]  # preset, or `beyond` -> statement, or experiment -> text
+
+
+def read_causes(path: Path) -> Causes:
+    """Return the causes of a file, {} without the file; or raise ConfigError."""
+    if not path.exists():
+        return {}
+    try:
+        causes = tomllib.loads(path.read_text(encoding='utf-8'))
+    except ValueError as error:
+        raise ConfigError(f'{path} is no TOML ({error})') from error
+    for name, table in causes.items():
+        if not isinstance(table, dict) or not all(isinstance(v, str) for v in table.values()):
+            raise ConfigError(f'{name} of {path} is {table!r}: expected lines statement = "cause"')
+    return causes
+
+
+def picture(name: str, title: str, pictures: Sequence[str]) -> list[str]:
+    """Return the lines of a picture, or of a note without one."""
+    if name not in pictures:
+        return ['No picture: nothing to draw.', '']
+    return [f'![{title}]({name}.png)', '']
+
+
+def figure_page(
+    name: str, judged: Sequence[Judged], pictures: Sequence[str], causes: Causes
+) -> str:
+    """Return the page of a figure in Markdown; the first preset is the one reported."""
+    first, *others = judged
+    own = [outcome for outcome in first.of(name) if outcome.primary]
+    policies = list(dict.fromkeys(o.policy for o in own if o.policy))
+    who = ' and '.join(label(word) for policy in policies for word in policy.split(' and '))
+    lines = [
+        f'# {TITLES[name]}',
+        '',
+        *picture(name, TITLES[name], pictures),
+        '## Statements',
+        '',
+        f'Preset `{first.preset}`{_episodes(first.samples.get(name))}; RL is {who or "nobody"}.',
+        '',
+        *number_table(own),
+        '',
+        '## Verdict',
+        '',
+        f'Of {len(own)} statements: {counts_in_words(own)}. Each policy is judged alone.',
+        '',
+        *policy_table(judged, name),
+        '',
+    ]
+    for each in others:
+        also = [outcome for outcome in each.of(name) if outcome.primary]
+        lines += folded(f'Numbers in preset `{each.preset}`', number_table(also))
+    for policy in dict.fromkeys(o.policy for o in first.of(name) if not o.primary):
+        also = [outcome for outcome in first.of(name) if outcome.policy == policy]
+        lines += folded(f'Numbers with {label(policy)}', number_table(also))
+    known = causes.get(first.preset, {})
+    rows = [
+        f'| {o.statement} | {o.verdict} | {known.get(o.statement, "not followed up")} |'
+        for o in own
+        if o.verdict != AGREES
+    ]
+    head = ['| statement | verdict | cause |', '|---|---|---|']
+    lines += ['## Cause', '', *([*head, *rows] if rows else ['All agree.'])]
+    return '\n'.join(lines).rstrip() + '\n'
+
+
+def _episodes(samples: Samples | None) -> str:
+    if samples is None:
+        return ''
+    seeds = f'{samples.seeds[0]} to {samples.seeds[-1]}'
+    return f', {len(samples.seeds)} episodes of {samples.steps} steps a cell, seeds {seeds}'
+
+
+def folded(title: str, lines: Sequence[str]) -> list[str]:
+    """Return lines in a folded block."""
+    return [f'<details><summary>{title}</summary>', '', *lines, '', '</details>', '']
+
+
+def beyond_page(samples: Mapping[str, Samples], pictures: Sequence[str], causes: Causes) -> str:
+    """Return the page of the sweeps beyond the paper in Markdown."""
+    lines = ['# Beyond the paper', '', 'Numbers with intervals: `summary.csv`.', '']
+    for name, found in samples.items():
+        title = found.experiment.title
+        lines += [f'## {title}', '', *picture(name, title, pictures)]
+        if name in causes.get('beyond', {}):
+            lines += [causes['beyond'][name], '']
+    return '\n'.join(lines).rstrip() + '\n'
