@@ -14,11 +14,10 @@ from shepherd_ros.experiments.setting_arguments import ManySettings
 import tyro
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from shepherd_ros.experiments.campaign import Task
     from shepherd_ros.experiments.catalog import Experiment
-    from shepherd_ros.experiments.results import Results
     from shepherd_ros.experiments.setting import Setting
 
 
@@ -37,6 +36,8 @@ class Evaluate(ManySettings):
     """Who drives, a policy as policy:CHECKPOINT; those of the experiment if not given."""
     policies: tuple[str, ...] = ()
     """Policies in the place of `policy` among the controllers, such as policy:CHECKPOINT."""
+    primary: tuple[str, ...] = ()
+    """Policies in the place of `policy`, too, each for the flock that it was trained with."""
     episodes: int | None = None
     """Episodes of each cell; 100 if not given, 20 for the large sweeps beyond the paper."""
     workers: int = 1
@@ -48,7 +49,9 @@ class Evaluate(ManySettings):
     Not needed where torchrun has started this: each of its processes then does its part.
     """
     quick: bool = False
-    """A few cells with 6 short episodes each, to see that all works."""
+    """Only where the statements of the paper look, 12 episodes of each cell."""
+    stop_early: bool = False
+    """End a figure of the paper once its verdicts are certain, after 20 episodes or more."""
     seed: int = 0
     """Seed of the first episode."""
     preset: str = ''
@@ -60,22 +63,71 @@ class Evaluate(ManySettings):
 
     def run(self) -> int:
         """Run the missing cells; return the exit code."""
-        from shepherd_ros.experiments.campaign import codes_of, done_of, plan, run_tasks, shard_of
+        from shepherd_ros.experiments.campaign import shard_of
         from shepherd_ros.experiments.catalog import experiments
-        from shepherd_ros.experiments.cells import Cell
-        from shepherd_ros.experiments.results import results_in
-        from shepherd_ros.learning.distributed import barrier, rank, ranks
+        from shepherd_ros.learning.distributed import barrier, ranks
 
         if self.workers < 1:
             raise UserError(f'--workers is {self.workers}: expected at least 1')
+        if self.stop_early and (self.shard or ranks() > 1):
+            raise UserError('--stop-early needs all rows: expected no --shard, and one process')
         chosen = [self.changed(experiment) for experiment in experiments(self.experiments)]
-        tasks = {
+        # a mistake is named before a folder is made
+        shard_of(list(self.planned(chosen).values()), self.shard or '1/1')
+        claimed_folder('--out', self.out, '*.md *.parquet */*.parquet */.*.part', self.overwrite)
+        for part in self.rounds(chosen):
+            self.run_missing(list(self.planned(part).values()))
+        barrier()
+        self.write_tables(chosen)
+        return 0
+
+    def planned(self, chosen: Sequence[Experiment]) -> dict[tuple[str, int], Task]:
+        """Return the cells of experiments, each once."""
+        from shepherd_ros.experiments.campaign import plan
+
+        return {
             (task.key, task.cell.first): task
             for e in chosen
             for task in plan(e.settings, e.controllers, self.seed, e.episodes)
         }
-        own_tasks = shard_of(list(tasks.values()), self.shard or f'{rank() + 1}/{ranks()}')
-        claimed_folder('--out', self.out, '*.md *.parquet */*.parquet */.*.part', self.overwrite)
+
+    def rounds(self, chosen: list[Experiment]) -> Iterator[list[Experiment]]:
+        """Yield what to run, one part after another; with --stop-early, less after each."""
+        from shepherd_ros.experiments.results import results_in
+        from shepherd_ros.experiments.samples import samples_of
+        from shepherd_ros.paper.primary import primary_policies
+        from shepherd_ros.paper.stopping import is_certain, ROUND
+
+        if not self.stop_early:
+            yield chosen
+            return
+        most, going = max(e.episodes for e in chosen), list(chosen)
+        primary = primary_policies(self.preset, self.primary)
+        minutes = sum(task.cell.cost() for task in self.planned(chosen).values()) / 60
+        print(f'all episodes would be about {minutes:.0f} minutes of one core')
+        for count in (*range(ROUND, most, ROUND), most):
+            yield [replace(e, episodes=min(e.episodes, count)) for e in going]
+            rows, still = results_in(self.out), []
+            for experiment in going:
+                samples = samples_of(rows, experiment)
+                assert samples is not None, 'it was run'
+                flock = samples.settings[0].flock
+                if experiment.episodes > count and not is_certain(samples, primary[flock]):
+                    still.append(experiment)
+                elif experiment.episodes > count:
+                    print(f'{experiment.name}: all verdicts are certain after {count} episodes')
+            going = still
+            if not going:
+                return
+
+    def run_missing(self, tasks: list[Task]) -> None:
+        """Run the cells whose rows are not there, or this process's part of them."""
+        from shepherd_ros.experiments.campaign import codes_of, done_of, run_tasks, shard_of
+        from shepherd_ros.experiments.cells import Cell
+        from shepherd_ros.experiments.results import results_in
+        from shepherd_ros.learning.distributed import barrier, rank, ranks
+
+        own_tasks = shard_of(tasks, self.shard or f'{rank() + 1}/{ranks()}')
         rows = results_in(self.out)
         barrier()  # a file that is read is not replaced meanwhile
         finished = done_of(own_tasks, rows)
@@ -83,7 +135,7 @@ class Evaluate(ManySettings):
         code, ended = commit(), 0
         spent, total = 0.0, sum(task.cell.cost() for task in missing)
         with progress('cells', total, quiet=rank() > 0) as show:
-            _tell(own_tasks, missing, code, codes_of(finished, rows))
+            _tell(own_tasks, missing, code, codes_of(finished, rows), self.workers)
 
             def done(cell: Cell) -> None:
                 nonlocal ended, spent
@@ -91,37 +143,50 @@ class Evaluate(ManySettings):
                 show(spent, text=f'{ended} of {len(missing)}')
 
             run_tasks(self.out, missing, self.workers, code, done)
-        barrier()
-        if rank() == 0:
-            rows = results_in(self.out)
-            if len(done_of(tasks.values(), rows)) == len(tasks):
-                self.write_tables(chosen, rows)
-        return 0
 
     def changed(self, experiment: Experiment) -> Experiment:
         """Return an experiment with the changes that were asked for."""
-        from shepherd_ros.experiments.catalog import QUICK_STEPS
+        from shepherd_ros.experiments.catalog import QUICK_EPISODES
+        from shepherd_ros.paper.primary import has_primary
 
         experiment = experiment.with_preset(self.preset).with_changes(self.worlds.set)
         settings = experiment.quick if self.quick else experiment.settings
-        if self.quick:
-            settings = _with_values(settings, 'steps', (QUICK_STEPS,))
+        if self.primary and not has_primary(self.preset):
+            settings = _with_values(settings, 'any_dt', (True,))
         for f in fields(self.worlds):
             if f.name != 'set':
                 settings = _with_values(settings, f.name, getattr(self.worlds, f.name))
-        episodes = 6 if self.quick else experiment.episodes
+        episodes = QUICK_EPISODES if self.quick else experiment.episodes
+        policies = (*self.primary_of(settings), *self.policies)
         return replace(
             experiment,
             settings=settings,
-            controllers=_with_policies(self.controllers or experiment.controllers, self.policies),
+            controllers=_with_policies(self.controllers or experiment.controllers, policies),
             episodes=episodes if self.episodes is None else self.episodes,
         )
 
-    def write_tables(self, chosen: list[Experiment], rows: Results) -> None:
-        """Write a table of each experiment beside the rows, and say where."""
+    def primary_of(self, settings: Sequence[Setting]) -> tuple[str, ...]:
+        """Return the primary policies for the flocks of settings, () without --primary."""
+        from shepherd_ros.paper.primary import primary_policies
+
+        if not self.primary:
+            return ()
+        chosen = primary_policies(self.preset, self.primary)
+        return tuple(dict.fromkeys(chosen[s.flock] for s in settings if s.flock in chosen))
+
+    def write_tables(self, chosen: list[Experiment]) -> None:
+        """Write a table of each experiment beside the rows, once all are there; say where."""
+        from shepherd_ros.experiments.campaign import done_of
+        from shepherd_ros.experiments.results import results_in
         from shepherd_ros.experiments.samples import samples_of
         from shepherd_ros.experiments.table import markdown
+        from shepherd_ros.learning.distributed import rank
 
+        if rank() > 0:
+            return
+        rows, tasks = results_in(self.out), self.planned(chosen)
+        if not self.stop_early and len(done_of(tasks.values(), rows)) < len(tasks):
+            return
         for experiment in chosen:
             samples = samples_of(rows, experiment)
             if samples is not None:
@@ -130,13 +195,15 @@ class Evaluate(ManySettings):
                 print(path, *samples.notes, sep='\n')
 
 
-def _tell(tasks: list[Task], missing: list[Task], code: str, codes: Sequence[str]) -> None:
+def _tell(
+    tasks: list[Task], missing: list[Task], code: str, codes: Sequence[str], workers: int
+) -> None:
     """Print what there is to do, and by which other code the rest was done."""
     minutes = sum(task.cell.cost() for task in missing) / 60
     print(
         f'{sum(t.cell.count for t in tasks)} episodes in {len(tasks)} cells, '
         f'{len(tasks) - len(missing)} of them done; about {minutes:.0f} minutes of one '
-        'core are left'
+        f'core are left, {minutes / workers:.0f} with {workers} on cores of their own'
     )
     others = [name or 'unknown' for name in codes if name != code]
     if others:

@@ -24,9 +24,9 @@ def resampled_means(values: Array, draws: int = DRAWS) -> Array:
     return values @ weight.T
 
 
-def percentiles(resampled_values: Array) -> tuple[Array, Array]:
-    """Return the ends of the 95 % interval of a quantity (..., draws), (...) each."""
-    tail = 100 * (1 - CONFIDENCE) / 2
+def percentiles(resampled_values: Array, confidence: float = CONFIDENCE) -> tuple[Array, Array]:
+    """Return the ends of the interval of a quantity (..., draws), (...) each."""
+    tail = 100 * (1 - confidence) / 2
     low, high = np.percentile(resampled_values, [tail, 100 - tail], axis=-1)
     return low, high
 

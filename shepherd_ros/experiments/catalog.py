@@ -11,7 +11,7 @@ from shepherd_ros.config import unknown_name
 from shepherd_ros.experiments.setting import Setting
 
 OF_THE_PAPER = ('fig4', 'fig5', 'fractions', 'fig6', 'fig7', 'fig8')
-QUICK_STEPS = 250  # of an episode, instead of 1000
+QUICK_EPISODES = 12  # of each cell of the short forms
 BASELINES = ('strombom', 'pierson')
 PAPER_CONTROLLERS = ('policy', *BASELINES, 'drover')
 FIGURE_4 = ('completion_time', 'shepherd_path_length', 'flock_spread', 'flock_path_length')
@@ -27,7 +27,7 @@ class Experiment:
     name: str
     title: str
     settings: tuple[Setting, ...]
-    quick: tuple[Setting, ...]
+    quick: tuple[Setting, ...]  # the short form: where the statements of the paper look
     axes: tuple[str, ...]  # one field: lines; two: a map; `case`: a row for each setting
     panels: tuple[str, ...]  # metrics
     controllers: tuple[str, ...] = PAPER_CONTROLLERS
@@ -80,7 +80,7 @@ def _cases(name: str, title: str, settings: Iterable[Setting], **options: Any) -
 
 _FIG4 = _sweep('fig4', 'Size of the flock', FIGURE_4, {'sheep': (10, 50, 100)}, sheep=TENS)
 _FIG5 = _sweep(
-    'fig5', 'Number of shepherds', FIGURE_4, {'shepherds': (1, 4, 6)}, shepherds=range(1, 7)
+    'fig5', 'Number of shepherds', FIGURE_4, {'shepherds': (1, 3, 4, 6)}, shepherds=range(1, 7)
 )
 _PRESETS = (
     'default', 'one_second', 'scaled_third', 'strombom_ra', 'rho_a_one', 'fine_dt',
@@ -116,14 +116,14 @@ EXPERIMENTS: dict[str, Experiment] = {
             'fig6',
             'Noise on observed positions',
             ('completion_time', 'shepherd_path_length'),
-            {'noise': (0.0, 1.0, 2.0)},
+            {'noise': (0.0, 0.4, 0.6, 1.4, 2.0)},
             noise=tuple(k / 5 for k in range(11)),
         ),
         _sweep(
             'fig7',
             'Repulsion between sheep',
             FRACTION_METRICS,
-            {'repulsion': (0.5, 1.0, 4.0)},
+            {'repulsion': (0.5, 1.0, 3.0, 4.0)},
             repulsion=tuple(k / 2 for k in range(1, 9)),
         ),
         _sweep(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from shepherd_ros.config import ConfigError
 from shepherd_ros.experiments.bootstrap import Array
-from shepherd_ros.experiments.catalog import Experiment, QUICK_STEPS
+from shepherd_ros.experiments.catalog import Experiment
 from shepherd_ros.experiments.methods import sorted_methods
 from shepherd_ros.experiments.results import Results, value_names
 from shepherd_ros.experiments.setting import (
@@ -114,13 +114,12 @@ def _of_whole(
     """
     Return the cells of the complete controllers.
 
-    Those have all settings, or all of the short form, with the largest number of common seeds.
+    Those have all settings, or all of the short form if there are no others, with the largest
+    number of common seeds.
     """
-    rows_used = np.concatenate([*cells.values(), []]).astype(int)
-    short = set(rows.columns['steps'][rows_used].tolist()) == {QUICK_STEPS}
-    needed = [
-        settings.index(canonical_setting(s)) for s in (experiment.quick if short else settings)
-    ]
+    short = [settings.index(canonical_setting(s)) for s in experiment.quick]
+    present = {place for _, place in cells}
+    needed = short if present <= set(short) else list(range(len(settings)))
     seeds = {
         name: set.intersection(
             *(set(rows.columns['seed'][cells.get((name, p), [])].tolist()) for p in needed)

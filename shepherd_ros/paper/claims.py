@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from shepherd_ros.experiments.bootstrap import Array, percentiles, resampled_means
+from shepherd_ros.experiments.bootstrap import Array, CONFIDENCE, percentiles, resampled_means
 from shepherd_ros.experiments.samples import Samples
 
 AGREES, BETTER, DISAGREES, UNDECIDED = VERDICTS = ('agrees', 'better', 'disagrees', 'undecided')
@@ -160,7 +160,7 @@ def verdict(low: float, high: float, lower: float, upper: float, better: str = '
     return AGREES if known and lower <= low <= upper else UNDECIDED
 
 
-def finding_of(clause: Clause, sweep: Sweep) -> ClauseFinding:
+def finding_of(clause: Clause, sweep: Sweep, confidence: float = CONFIDENCE) -> ClauseFinding:
     """Return the finding on a clause; nothing is better where RL leaves sheep behind."""
     nan = math.nan
     if len(sweep.samples.seeds) < 2:
@@ -170,7 +170,7 @@ def finding_of(clause: Clause, sweep: Sweep) -> ClauseFinding:
             resampled = clause.quantity(sweep)
     except MissingError as error:
         return ClauseFinding(clause, nan, nan, nan, UNDECIDED, str(error))
-    low, high = (float(end) for end in percentiles(resampled[1:]))
+    low, high = (float(end) for end in percentiles(resampled[1:], confidence))
     strict = strict_verdict(low, high, clause.low, clause.high)
     result, reason = verdict(low, high, clause.low, clause.high, clause.better), ''
     if result != strict and not sweep.brings_home():

@@ -18,7 +18,7 @@ from typing import Any
 
 import pyarrow as pa  # type: ignore[import-untyped]
 from shepherd_ros.config import ConfigError
-from shepherd_ros.experiments.catalog import BASELINES, Experiment, EXPERIMENTS
+from shepherd_ros.experiments.catalog import BASELINES, Experiment, EXPERIMENTS, OF_THE_PAPER
 from shepherd_ros.experiments.cells import Cell, run_cell
 from shepherd_ros.experiments.results import Results
 from shepherd_ros.experiments.samples import samples_of
@@ -52,14 +52,6 @@ CHOICES: dict[str, tuple[Any, ...]] = {
     'controllers.pierson.spread_factor': (3.0, 2.0, 5.0),
     'controllers.pierson.weakest_push': (0.15, 0.05, 0.4),
     'controllers.pierson.tracking_gain': (0.0, 0.5, 1.0),
-}
-SEARCH_POINTS = {
-    'fig4': ('sheep', (10, 50, 100)),
-    'fig5': ('shepherds', (1, 3, 4, 6)),
-    'fractions': ('', ()),  # those of the two before
-    'fig6': ('noise', (0.0, 0.4, 0.6, 2.0)),
-    'fig7': ('repulsion', (0.5, 1.0, 3.0, 4.0)),
-    'fig8': ('sheep', (10, 50, 100)),
 }
 NEAR_MISS_WORTH = 0.4  # score of a number next to its bounds
 SHARE_NEW = 0.1  # of candidates that are drawn anew
@@ -108,13 +100,9 @@ def preset_of(candidate: Candidate) -> Preset:
 
 
 def short_experiment(name: str) -> Experiment:
-    """Return an experiment with the points of SEARCH_POINTS, in the candidate's preset."""
+    """Return an experiment in its short form, in the candidate's preset."""
     whole = EXPERIMENTS[name].with_preset(CANDIDATE_NAME)
-    field, values = SEARCH_POINTS[name]
-    if not field:
-        settings = [s for other in ('fig4', 'fig5') for s in short_experiment(other).settings]
-        return replace(whole, settings=tuple(dict.fromkeys(settings)))
-    return replace(whole, settings=tuple(s for s in whole.settings if getattr(s, field) in values))
+    return replace(whole, settings=whole.quick)
 
 
 def findings(
@@ -128,7 +116,7 @@ def findings(
     PRESETS.add(replace(preset, name=CANDIDATE_NAME))
     known = {} if known is None else known
     try:
-        experiments = {name: short_experiment(name) for name in SEARCH_POINTS}
+        experiments = {name: short_experiment(name) for name in OF_THE_PAPER}
         settings = dict.fromkeys(
             canonical_setting(s) for e in experiments.values() for s in e.settings
         )

@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 import subprocess
 
+import numpy as np
 import pytest
 from shepherd_ros import __version__
 from shepherd_ros.cli import evaluate_verb, main
@@ -14,14 +15,18 @@ from shepherd_ros.experiments.campaign import plan, seed_batches, shard_of
 from shepherd_ros.experiments.catalog import EXPERIMENTS, experiments
 from shepherd_ros.experiments.cells import Cell, run_cell
 from shepherd_ros.experiments.methods import checkpoint_hash, full_name, make_method
-from shepherd_ros.experiments.results import read_results
+from shepherd_ros.experiments.results import read_results, value_names
 from shepherd_ros.experiments.runner import run_episodes
+from shepherd_ros.experiments.samples import Samples
 from shepherd_ros.experiments.setting import (
     canonical_setting,
     describe_setting,
     env_config,
     Setting,
 )
+from shepherd_ros.paper import stopping
+from shepherd_ros.paper.claims import finding_of, Sweep
+from shepherd_ros.paper.statements import CLAIMS
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 import torch
@@ -219,6 +224,66 @@ def test_policies_take_the_place_of_the_policy_of_an_experiment(tmp_path: Path) 
     assert main(words) == 0
     drove = read_results([tmp_path]).distinct('controller')
     assert drove == ['drover', 'idle', 'pierson', 'policy:imitation', 'strombom']
+
+
+def test_a_primary_policy_drives_the_flock_of_its_training(tmp_path: Path) -> None:
+    words = ['evaluate', '4', '8', '--sheep', '3', '--steps', '2', '--episodes', '1']
+    words += ['--controllers', 'policy', 'idle', '--out', str(tmp_path)]
+    assert main([*words, '--primary', 'policy:paper_network', 'policy:reynolds']) == 0
+    rows = read_results([tmp_path])
+    drove = set(zip(rows.columns['controller'], rows.columns['flock'], strict=True))
+    assert drove == {
+        ('policy:paper_network', 'strombom'), ('policy:reynolds', 'reynolds'),
+        ('idle', 'strombom'), ('idle', 'reynolds'),
+    }  # fmt: skip
+
+
+def test_a_primary_policy_may_fly_in_a_preset_without_one(tmp_path: Path) -> None:
+    words = ['evaluate', '4', '--sheep', '3', '--steps', '2', '--episodes', '1']
+    words += ['--preset', 'table_literal', '--controllers', 'policy', '--out', str(tmp_path)]
+    assert main([*words, '--primary', 'policy:paper_network']) == 0
+    assert read_results([tmp_path]).distinct('preset') == ['table_literal']
+
+
+def test_a_figure_ends_early_once_its_verdicts_are_certain(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ['evaluate', '4', '5', '--sheep', '3', '--steps', '2', '--controllers', 'idle']
+    words += ['--stop-early', '--episodes', '50', '--out', str(tmp_path)]
+    asked: list[tuple[str, int]] = []
+
+    def certain(samples: Samples, primary: str) -> bool:
+        asked.append((samples.experiment.name, len(samples.seeds)))
+        return samples.experiment.name == 'fig4'
+
+    monkeypatch.setattr(stopping, 'is_certain', certain)
+    assert main(words) == 0
+    assert asked == [('fig4', 20), ('fig5', 20), ('fig5', 40)]
+    rows = read_results([tmp_path])
+    teams = rows.columns['shepherds']
+    assert {int(m): int((teams == m).sum()) for m in set(teams)} == dict.fromkeys(range(1, 7), 50)
+    said = capsys.readouterr().out
+    assert 'fig4: all verdicts are certain after 20 episodes' in said
+    assert 'all episodes would be about' in said
+    assert (tmp_path / 'fig4.md').exists()
+    assert main([*words, '--shard', '1/2']) == 2
+    assert 'expected no --shard' in capsys.readouterr().err
+
+
+def test_the_short_form_has_the_points_of_all_statements() -> None:
+    for name in ('fig4', 'fig5', 'fig6', 'fig7', 'fig8', 'fractions'):
+        quick, whole = EXPERIMENTS[name].quick, EXPERIMENTS[name].settings
+        assert set(quick) < set(whole)
+        settings = tuple(dict.fromkeys(map(canonical_setting, quick)))
+        ones = {
+            (who, metric): np.ones((len(settings), 2))
+            for who in ('policy:x', 'strombom', 'pierson') for metric in value_names()
+        }  # fmt: skip
+        samples = Samples(EXPERIMENTS[name], settings, (0, 1), 1000, ones)
+        for claim in CLAIMS:
+            for clause in claim.clauses:
+                if claim.experiment == name:
+                    assert not finding_of(clause, Sweep(samples, 'policy:x')).reason, clause.text
 
 
 def test_more_episodes_take_the_place_of_fewer(tmp_path: Path) -> None:

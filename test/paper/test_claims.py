@@ -17,7 +17,7 @@ import pytest
 from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
 from shepherd_ros.experiments.bootstrap import mean_interval, resampled
-from shepherd_ros.experiments.catalog import EXPERIMENTS, QUICK_STEPS
+from shepherd_ros.experiments.catalog import EXPERIMENTS
 from shepherd_ros.experiments.results import (
     read_results,
     Results,
@@ -49,6 +49,7 @@ from shepherd_ros.paper.curves import Curve, curve_verdict, find_curves, smoothe
 from shepherd_ros.paper.primary import has_critic, primary_policies, trained_on
 from shepherd_ros.paper.quantities import below, change, ratio, slope
 from shepherd_ros.paper.statements import CLAIMS
+from shepherd_ros.paper.stopping import is_certain
 from shepherd_ros.paper.value_verdicts import AREAS, BEHIND, verdicts_on_values
 from shepherd_ros.paper.verdict_tables import counts_by_figure
 from shepherd_ros.paper.verdicts import (
@@ -219,10 +220,7 @@ def test_of_a_sweep_only_controllers_of_which_all_is_there_are_drawn() -> None:
     assert found.controllers == ['pierson']
     assert found.seeds == (0, 1)
     assert samples_of(rows(alone), sweep, least=2, whole=True) is None
-    short = [
-        made_up(replace(canonical_setting(s), steps=QUICK_STEPS), 'pierson', completion_time=[1.0])
-        for s in sweep.quick
-    ]
+    short = [made_up(canonical_setting(s), 'pierson', completion_time=[1.0]) for s in sweep.quick]
     quick = samples_of(rows(*short), sweep, whole=True)
     assert quick is not None
     assert len(quick.settings) == len(sweep.quick) < len(sweep.settings)
@@ -411,6 +409,21 @@ def test_a_policy_that_was_not_trained_on_reynolds_gets_no_verdict_there() -> No
     assert 'not trained with the Reynolds' in mine[0].findings[0].reason
     assert mine[0].findings[0].value == pytest.approx(0.99)
     assert next(j for j in judged if j.statement.startswith('Pierson brings')).verdict == AGREES
+
+
+def test_a_figure_is_certain_once_wider_intervals_decide_all_its_statements() -> None:
+    samples = figure('fig4', **AS_IN_THE_PAPER)
+    assert is_certain(samples, POLICY)
+    assert not is_certain(samples, 'policy:none'), 'without rows nothing is decided'
+    rng = np.random.default_rng(0)
+    noisy = {
+        key: np.clip(values.mean(axis=1, keepdims=True) * rng.normal(1, 0.5, (10, 20)), 1e-3, None)
+        for key, values in samples.values.items()
+    }
+    few = replace(samples, values=noisy, seeds=tuple(range(20)))
+    assert not is_certain(few, POLICY)
+    table = replace(samples, experiment=replace(samples.experiment, name='table'))
+    assert not is_certain(table, POLICY), 'nothing is stated of it'
 
 
 def test_each_policy_is_judged_alone_and_only_the_primary_one_counts() -> None:

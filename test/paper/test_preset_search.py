@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from shepherd_ros.cli import main
+from shepherd_ros.experiments.catalog import EXPERIMENTS, OF_THE_PAPER
 from shepherd_ros.experiments.methods import make_method
 from shepherd_ros.experiments.setting import env_config, Setting
 from shepherd_ros.paper.claims import AGREES, DISAGREES, UNDECIDED
@@ -23,7 +24,6 @@ from shepherd_ros.paper.preset_search import (
     preset_of,
     proposals,
     search,
-    SEARCH_POINTS,
     short_experiment,
     Tried,
 )
@@ -61,11 +61,11 @@ def test_every_choice_arrives_where_it_belongs(monkeypatch: pytest.MonkeyPatch) 
 
 def test_the_points_are_those_of_the_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(PRESETS._entries, CANDIDATE_NAME, preset_of(DEFAULT))
-    for name, (field, values) in SEARCH_POINTS.items():
-        if field:
-            assert {getattr(s, field) for s in short_experiment(name).settings} == set(values), (
-                name
-            )
+    for name in OF_THE_PAPER:
+        whole = EXPERIMENTS[name].settings
+        short = short_experiment(name).settings
+        assert {replace(s, preset='default') for s in short} < set(whole)
+        assert {s.preset for s in short} == {CANDIDATE_NAME}
 
 
 def test_an_undecided_number_counts_half() -> None:
