@@ -51,7 +51,7 @@ class Evaluate(ManySettings):
     quick: bool = False
     """Only where the statements of the paper look, 12 episodes of each cell."""
     stop_early: bool = False
-    """End a figure of the paper once its verdicts are certain, after 20 episodes or more."""
+    """End a figure of the paper once its verdicts are certain, after 50 episodes or more."""
     seed: int = 0
     """Seed of the first episode."""
     preset: str = ''

@@ -14,7 +14,9 @@ from shepherd_ros.experiments.results import cell_key, table_of, value_names, wr
 from shepherd_ros.experiments.runner import run_episodes
 from shepherd_ros.experiments.setting import canonical_setting, env_config, Setting
 
-EPISODES_AT_ONCE = 20  # episodes of a cell that run in one batch: what a kill costs at most
+# episodes of a cell that run in one batch: what a kill costs at most. Per episode, a batch of 50
+# takes 0.8 of the time of one of 20 with 100 sheep, and half of it with 10
+EPISODES_AT_ONCE = 50
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from shepherd_ros.experiments.cells import EPISODES_AT_ONCE
 from shepherd_ros.experiments.samples import Samples
 from shepherd_ros.paper.claims import combined_verdict, finding_of, Sweep, UNDECIDED
 from shepherd_ros.paper.statements import CLAIMS
 
-ROUND = 20  # episodes of each cell between two looks
+ROUND = EPISODES_AT_ONCE  # episodes of each cell between two looks
 CERTAIN = 0.999  # confidence of the intervals of a look, as there are several
 
 

@@ -194,7 +194,7 @@ def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_rows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = ['evaluate', '4', *WORDS[2:], '--sheep', '3', '--controllers', 'strombom', 'random']
-    words += ['--shepherds', '1', '2', '3', '--episodes', '25']
+    words += ['--shepherds', '1', '2', '3', '--episodes', '60']
     whole, cut = tmp_path / 'whole', tmp_path / 'cut'
     assert main([*words, '--out', str(whole)]) == 0
 
@@ -215,7 +215,7 @@ def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_rows(
     assert main([*words, '--out', str(cut)]) == 0
     left, right = (read_results([folder]).table for folder in (whole, cut))
     assert left.equals(right)
-    assert left.num_rows == 3 * 2 * 25
+    assert left.num_rows == 3 * 2 * 60
 
 
 def test_policies_take_the_place_of_the_policy_of_an_experiment(tmp_path: Path) -> None:
@@ -249,7 +249,7 @@ def test_a_figure_ends_early_once_its_verdicts_are_certain(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ['evaluate', '4', '5', '--sheep', '3', '--steps', '2', '--controllers', 'idle']
-    words += ['--stop-early', '--episodes', '50', '--out', str(tmp_path)]
+    words += ['--stop-early', '--episodes', '120', '--out', str(tmp_path)]
     asked: list[tuple[str, int]] = []
 
     def certain(samples: Samples, primary: str) -> bool:
@@ -258,12 +258,12 @@ def test_a_figure_ends_early_once_its_verdicts_are_certain(
 
     monkeypatch.setattr(stopping, 'is_certain', certain)
     assert main(words) == 0
-    assert asked == [('fig4', 20), ('fig5', 20), ('fig5', 40)]
+    assert asked == [('fig4', 50), ('fig5', 50), ('fig5', 100)]
     rows = read_results([tmp_path])
     teams = rows.columns['shepherds']
-    assert {int(m): int((teams == m).sum()) for m in set(teams)} == dict.fromkeys(range(1, 7), 50)
+    assert {int(m): int((teams == m).sum()) for m in set(teams)} == dict.fromkeys(range(1, 7), 120)
     said = capsys.readouterr().out
-    assert 'fig4: all verdicts are certain after 20 episodes' in said
+    assert 'fig4: all verdicts are certain after 50 episodes' in said
     assert 'all episodes would be about' in said
     assert (tmp_path / 'fig4.md').exists()
     assert main([*words, '--shard', '1/2']) == 2
@@ -290,12 +290,12 @@ def test_more_episodes_take_the_place_of_fewer(tmp_path: Path) -> None:
     words = ['evaluate', '4', '--sheep', '3', '--steps', '4', '--controllers', 'idle']
     words += ['--out', str(tmp_path)]
     assert main([*words, '--episodes', '2']) == 0
-    assert main([*words, '--episodes', '30']) == 0
+    assert main([*words, '--episodes', '70']) == 0
     assert sorted(p.name for p in tmp_path.rglob('*.parquet')) == [
-        '000000-000019.parquet',
-        '000020-000029.parquet',
+        '000000-000049.parquet',
+        '000050-000069.parquet',
     ]
-    assert read_results([tmp_path]).distinct('seed') == list(range(30))
+    assert read_results([tmp_path]).distinct('seed') == list(range(70))
 
 
 def test_shards_on_two_machines_make_the_rows_of_one(tmp_path: Path) -> None:
