@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 import sys
+from typing import Any
 
 from shepherd_ros.cli.out_folders import made_folder
 from shepherd_ros.cli.progress import progress, Show
@@ -17,7 +18,8 @@ class Search:
     """
     Search what the paper leaves open for what agrees best with its statements on the baselines.
 
-    A candidate takes minutes. A search that is cut off goes on with the same command.
+    The best candidate is reported on other seeds, in a table beside the file. A candidate takes
+    minutes. A search that is cut off goes on with the same command.
     """
 
     out: Path = Path('out/search.jsonl')
@@ -28,8 +30,10 @@ class Search:
     """Episodes of each cell."""
     seed: int = 0
     """Seed of the candidates."""
+    steps: int = 1000
+    """Steps of an episode."""
     presets: tuple[str, ...] = ()
-    """Instead of a search, print a table of how well these presets agree."""
+    """Instead of a search, print a table of presets, or NAME+PATH=VALUE with other choices."""
 
     def run(self) -> int:
         """Search; print every candidate that is better than all before."""
@@ -45,26 +49,36 @@ class Search:
             from shepherd_ros.paper.preset_scores import preset_scores
 
             tell = partial(print, file=sys.stderr)
-            print(preset_scores(self.presets, self.episodes, on_preset=tell))
+            print(preset_scores(self.presets, self.episodes, self.steps, on_preset=tell))
             return 0
         made_folder('--out', self.out.parent)
         with progress('candidates', self.candidates) as show:
-            self._search(show)
+            best = self._search(show)
+        from shepherd_ros.paper.preset_scores import both_seeds, score_table
+        from shepherd_ros.paper.preset_search import preset_of
+        from shepherd_ros.sim.presets import PRESETS
+
+        columns = {}
+        for title, preset in (('default', PRESETS['default']), ('best', preset_of(best))):
+            columns |= both_seeds(title, preset, self.episodes, self.steps, {})
+        table = self.out.with_suffix('.md')
+        table.write_text(score_table(columns) + '\n', encoding='utf-8')
+        print(table)
         return 0
 
-    def _search(self, show: Show) -> None:
-        """Print every candidate that is better than all before."""
+    def _search(self, show: Show) -> dict[str, Any]:
+        """Print every candidate that is better than all before; return the best."""
         from shepherd_ros.paper.claims import AGREES
         from shepherd_ros.paper.preset_search import CHOICES, search
 
-        best = -1.0
+        best, choices = -1.0, {}
         for number, tried in enumerate(
-            search(self.out, self.seed, self.candidates, self.episodes), start=1
+            search(self.out, self.seed, self.candidates, self.episodes, self.steps), start=1
         ):
             show(number, text=f'{number} of {self.candidates}')
             if tried.score <= best:
                 continue
-            best = tried.score
+            best, choices = tried.score, tried.candidate
             agree = sum(verdict == AGREES for verdict in tried.verdicts.values())
             changed = {p: v for p, v in tried.candidate.items() if v != CHOICES[p][0]}
             print(
@@ -72,3 +86,4 @@ class Search:
                 f'{changed or "the default"}',
                 flush=True,
             )
+        return choices

@@ -4,6 +4,7 @@ Search for the choices, which the paper leaves open, that agree with most of its
 Only the baselines drive, over the points of each figure that its statements name: a statement
 about them costs seconds to check, one about a learned policy a training. Most candidates are the
 best so far with one choice changed, some are drawn at random; the default preset is the first.
+What is found looks better on the seeds it was found on: it is reported on others.
 """
 
 from __future__ import annotations
@@ -37,15 +38,19 @@ from shepherd_ros.sim.presets import Preset, PRESETS
 CANDIDATE_NAME = 'candidate'  # of the preset while it is tried
 # option -> values; the first is that of the default preset
 CHOICES: dict[str, tuple[Any, ...]] = {
-    'dt': (0.5,),  # that of the policies, which have to hold with the same choices
+    'dt': (0.5, 0.1, 0.15, 0.2, 0.3),
     'flock.strombom.sheep_range': (1.0, 2 / 3, 4 / 3, 2.0),
     'flock.strombom.normalize_shepherds': (False, True),
     'flock.reynolds.max_acceleration': (1 / 3, 1.0, 3.0),
     'controllers.strombom.position_law': ('strombom', 'elfiqi'),
     'controllers.strombom.interaction_range': (0.0, 2 / 3, 4 / 3, 2.0),
-    'controllers.strombom.arc_margin': (0.0, 1.5, 2.0, 6.0, 10.0, 22.0),
+    'controllers.strombom.standoff': (4.0, 6.0, 8.0),
+    'controllers.strombom.arc': ('farthest', 'rms'),
+    'controllers.strombom.arc_margin': (0.0, 1.5, 2.0, 6.0, 7.0, 9.0, 10.0, 22.0),
     'controllers.strombom.stop_range': (3.0, 0.0, 1.5, 4.0, 4.5, 5.0, 6.0),
+    'controllers.strombom.stop_distance': (0.0, 4.0, 6.0, 8.0),
     'controllers.strombom.wing_spacing': (0.0, 0.2, 0.4),
+    'controllers.pierson.pace': ('tracking', 'constant'),
     'controllers.pierson.lead': (2.0, 1.0, 4.0),
     'controllers.pierson.gain': (0.05, 0.1, 0.2),
     'controllers.pierson.min_radius': (4.0, 2.0, 8.0),
@@ -55,6 +60,7 @@ CHOICES: dict[str, tuple[Any, ...]] = {
 }
 NEAR_MISS_WORTH = 0.4  # score of a number next to its bounds
 SHARE_NEW = 0.1  # of candidates that are drawn anew
+SEARCH_SEED, REPORT_SEED = 0, 1000  # of the first episode, where it is searched and reported
 
 Candidate = dict[str, Any]
 KnownTables = dict[str, pa.Table]  # rows of cells by their configuration
@@ -106,11 +112,16 @@ def short_experiment(name: str) -> Experiment:
 
 
 def findings(
-    preset: Preset, episodes: int, steps: int = 1000, known: KnownTables | None = None
+    preset: Preset,
+    episodes: int,
+    steps: int = 1000,
+    known: KnownTables | None = None,
+    first: int = SEARCH_SEED,
 ) -> dict[str, ClauseFinding]:
     """
     Run the baselines in a preset; return the findings on clauses about them alone, by text.
 
+    first is the seed of the first episode.
     Cells in known are not run again; those that are run are added to it.
     """
     PRESETS.add(replace(preset, name=CANDIDATE_NAME))
@@ -123,8 +134,8 @@ def findings(
         tables = []
         for setting in settings:
             for name in BASELINES:
-                cell = Cell(replace(setting, steps=steps), name, 0, episodes)
-                key = json.dumps(cell.config())  # without the name of the preset
+                cell = Cell(replace(setting, steps=steps), name, first, episodes)
+                key = json.dumps([cell.config(), first])  # without the name of the preset
                 if key not in known:
                     known[key] = run_cell(cell)
                 tables.append(known[key])

@@ -97,8 +97,8 @@ def test_equal_settings_of_two_experiments_are_one_cell() -> None:
 
 
 def test_batches_of_seeds_are_cut_at_the_same_places_whatever_the_number() -> None:
-    assert list(seed_batches(0, 45)) == [(0, 20), (20, 20), (40, 5)]
-    assert list(seed_batches(7, 20)) == [(7, 20)]
+    assert list(seed_batches(0, 105)) == [(0, 50), (50, 50), (100, 5)]
+    assert list(seed_batches(7, 50)) == [(7, 50)]
 
 
 def test_shards_share_the_cells_and_leave_none_out() -> None:

@@ -10,19 +10,22 @@ from pathlib import Path
 
 import pytest
 from shepherd_ros.cli import main
+from shepherd_ros.config import ConfigError
 from shepherd_ros.experiments.catalog import EXPERIMENTS, OF_THE_PAPER
 from shepherd_ros.experiments.methods import make_method
 from shepherd_ros.experiments.setting import env_config, Setting
 from shepherd_ros.paper.claims import AGREES, DISAGREES, UNDECIDED
-from shepherd_ros.paper.preset_scores import preset_scores
+from shepherd_ros.paper.preset_scores import named_preset, preset_scores
 from shepherd_ros.paper.preset_search import (
     attempt,
     CANDIDATE_NAME,
     CHOICES,
+    findings,
     gap_of,
     KnownTables,
     preset_of,
     proposals,
+    score_of,
     search,
     short_experiment,
     Tried,
@@ -117,7 +120,7 @@ def test_a_line_that_is_torn_or_foreign_is_named(
 
 def test_only_numbers_about_the_baselines_are_judged() -> None:
     tried = attempt(DEFAULT, 2, steps=2)
-    assert len(tried.verdicts) == 17
+    assert len(tried.verdicts) == 19
     assert not any(' RL' in text.rpartition(': ')[2] for text in tried.verdicts)
 
 
@@ -135,11 +138,48 @@ def test_only_cells_that_a_choice_changes_are_run_again() -> None:
 def test_presets_stand_side_by_side_with_their_scores() -> None:
     lines = preset_scores(['default', 'fine_dt'], 2, steps=2).splitlines()
     rows = [[cell.strip() for cell in line.strip('|').split('|')] for line in lines]
-    assert rows[0][3:] == ['`default`', '`fine_dt`']
+    assert rows[0][3:] == [
+        '`default`, seeds from 0', '`default`, seeds from 1000',
+        '`fine_dt`, seeds from 0', '`fine_dt`, seeds from 1000',
+    ]  # fmt: skip
     tried = attempt(DEFAULT, 2, steps=2)
     verdicts = {f'{row[0]}: {row[1]}': row[3].rpartition(', ')[2] for row in rows[2:-1]}
     assert verdicts == tried.verdicts
-    assert rows[-1][3] == f'**{tried.score:g} of 17**'
+    assert rows[-1][3] == f'**{tried.score:g} of 19**'
+
+
+def test_the_best_is_reported_on_other_seeds_than_those_it_was_found_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / 'tried.jsonl'
+    words = ['search', '--candidates', '2', '--episodes', '2', '--steps', '2', '--out', str(path)]
+    assert main(words) == 0
+    assert str(tmp_path / 'tried.md') in capsys.readouterr().out
+    found = max(map(json.loads, path.read_text().splitlines()), key=lambda t: score_of(
+        t['verdicts'].values()))  # fmt: skip
+    head, _, *rows, score = (tmp_path / 'tried.md').read_text().splitlines()
+    assert head.endswith('default, seeds from 1000 | best, seeds from 0 | best, seeds from 1000 |')
+    cells = [[cell.strip() for cell in row.strip('|').split('|')] for row in rows]
+    assert [row[5].rpartition(', ')[2] for row in cells] == [*found['verdicts'].values()]
+    other = findings(preset_of(found['candidate']), 2, 2, first=1000)
+    assert [row[6].rpartition(', ')[2] for row in cells] == [f.strict for f in other.values()]
+    assert f'**{score_of(f.strict for f in other.values()):g} of 19**' in score
+
+
+def test_a_preset_can_be_named_with_other_choices() -> None:
+    summed = named_preset('third+flock.strombom.normalize_shepherds=false+dt=0.1')
+    third = PRESETS['third']
+    assert (summed.dt, third.dt) == (0.1, 0.2)
+    assert not summed.flock['strombom']['normalize_shepherds']
+    assert third.flock['strombom']['normalize_shepherds'], 'the preset itself is as it was'
+    assert summed.controllers == third.controllers
+    for word, message in (
+        ('thrd', "preset is 'thrd'"),
+        ('third+dtt=0.1', "choice is 'dtt'"),
+        ('third+dt=7', r"dt is '7': expected one of 0\.5, 0\.1"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            named_preset(word)
 
 
 def test_a_mistake_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
