@@ -39,9 +39,9 @@ class Cell:
     def cost(self) -> float:
         """Return the estimated time [s] on one core, for the display of the time left."""
         n, m = self.setting.sheep, self.setting.shepherds
-        flock = (0.8 + 0.003 * n) * n
-        policy = 250.0 * m if self.controller.startswith('policy') else 50.0
-        return 1e-6 * (100.0 + flock + policy) * self.count * self.setting.steps
+        flock = (0.5 + 0.001 * n) * n
+        policy = 80.0 * m if self.controller.startswith('policy') else 0.0
+        return 1e-6 * (10.0 + flock + policy) * self.count * self.setting.steps
 
 
 def cell_file(folder: Path, cell: Cell, key: str) -> Path:

@@ -110,6 +110,32 @@ class Claim:
     statement: str
     clauses: tuple[Clause, ...]
 
+    @property
+    def uses_rl(self) -> bool:
+        """Return whether RL matters to the statement."""
+        probe = _Probe()
+        with np.errstate(all='ignore'):
+            for clause in self.clauses:
+                clause.quantity(probe)
+        return any(method == 'RL' for method, _ in probe.used_means)
+
+
+class _Probe(Sweep):
+    """Sweep without rows, which only notes what a quantity asks for."""
+
+    def __init__(self) -> None:
+        """Begin with nothing asked for."""
+        self.used_means, self.x = set(), np.arange(2.0)
+
+    def mean(self, method: str, metric: str, where: Where | None = None) -> Array:
+        """Return ones for two points and two draws."""
+        self.used_means.add((method, metric))
+        return np.ones((2, 2))
+
+    def at(self, method: str, metric: str, x: float) -> Array:
+        """Return ones for two draws."""
+        return self.mean(method, metric)[0]
+
 
 @dataclass(frozen=True)
 class ClauseFinding:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import json
 
+from shepherd_ros.experiments.catalog import EXPERIMENTS
 from shepherd_ros.experiments.samples import Samples
 from shepherd_ros.paper.claims import UNDECIDED
 from shepherd_ros.paper.curves import Curve
@@ -63,7 +64,9 @@ def judge(
         for claim in CLAIMS:
             if claim.experiment == name:
                 none = [without_number(c, UNDECIDED, 'no rows') for c in claim.clauses]
-                outcomes.append(single(name, claim.statement, '', *none))
+                flock = EXPERIMENTS[name].settings[0].flock
+                policy = primary[flock] if claim.uses_rl else ''
+                outcomes.append(single(name, claim.statement, policy, *none))
     return Judged(preset, primary, samples, [*outcomes, *verdicts_on_values(maps, primary)])
 
 

@@ -74,12 +74,11 @@ def verdicts_on_samples(samples: Samples, primary: str) -> list[Verdict]:
 
 def _judge_claim(claim: Claim, samples: Samples, policy: str) -> Verdict:
     """Return the verdict on a claim with a policy in the place of RL."""
-    findings, others, with_rl = [], [], False
+    findings, others, with_rl = [], [], claim.uses_rl
     for clause in claim.clauses:
         sweep = Sweep(samples, policy)
         finding = finding_of(clause, sweep)
         uses_rl = any(method == 'RL' for method, _ in sweep.used_means)
-        with_rl |= uses_rl
         if (
             uses_rl
             and claim.experiment == 'fig8'

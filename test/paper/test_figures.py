@@ -158,6 +158,7 @@ def test_the_report_begins_with_the_answer() -> None:
     assert text.splitlines()[2] == drawn[0]
     assert drawn[0].endswith('(verdicts.png)')
     assert drawn[1] == f'![{QUESTION}](summary.png)'
+    assert sum(judged.about_baselines.values()) == 9, 'whatever rows there are'
     answer = text[: text.index('| preset')].splitlines()
     assert len([line for line in answer if line.startswith('- ')]) == 10
 
