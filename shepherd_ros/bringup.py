@@ -85,12 +85,13 @@ def controller_process(word: str, flock_sim: Mapping[str, Any], **own: Any) -> P
     from shepherd_ros.experiments.methods import split_name
     from shepherd_ros.sim.flocking import FLOCK_MODELS
 
-    name, checkpoint = split_name(word)
+    name, options = split_name(word)
     executable = CONTROLLERS[name].executable
-    given = {} if executable == name else {'controller': name}
+    given: dict[str, Any] = {} if executable == name else {'controller': name}
+    given |= options
     if name == 'policy':
         model = FLOCK_MODELS[flock_sim.get('flock', 'strombom')]
-        given['checkpoint'] = checkpoint or model.config.checkpoint
+        given.setdefault('checkpoint', model.config.checkpoint)
     elif 'preset' in flock_sim:
         given['preset'] = flock_sim['preset']
     return Process(executable, name, given | own)

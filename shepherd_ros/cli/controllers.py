@@ -67,12 +67,15 @@ def chosen(name: str, words: Sequence[str], params_file: Path | None) -> Chosen:
     """
     Return a controller with the parameters of a file, then those of words such as gain:=0.1.
 
-    policy:CHECKPOINT is a policy with that parameter. A file is one of ROS 2; what it says of
-    other nodes does not count. Raises UserError.
+    policy:CHECKPOINT is a policy with that parameter, composite:DRIVE,HOLD one with those. A file
+    is one of ROS 2; what it says of other nodes does not count. Raises UserError.
     """
-    name, _, checkpoint = name.partition(':')
+    name, _, text = name.partition(':')
     parameters = {} if params_file is None else _of_file(name, params_file)
-    parameters |= {'checkpoint': checkpoint} if checkpoint else {}
+    if text:
+        from shepherd_ros.controllers import CONTROLLERS
+
+        parameters |= CONTROLLERS[name].options_of(text)
     for word in words:
         key, given, value = word.partition(':=')
         try:

@@ -29,6 +29,7 @@ from shepherd_ros.memory import keep_memory
 from shepherd_ros.policy.checkpoint import load_policy
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
+from shepherd_ros.policy.warm_start import warm_start
 from shepherd_ros.sim.metrics import shown
 from shepherd_ros.sim.observation import ObservationConfig
 import torch
@@ -213,7 +214,7 @@ def _policy(arguments: Any) -> Policy:
     policy = Policy(configured(PolicyConfig, arguments.policy))
     if arguments.pretrained:
         try:
-            policy.load_state_dict(load_policy(arguments.pretrained).state_dict())
+            warm_start(policy, load_policy(arguments.pretrained))
         except RuntimeError as error:
             raise UserError(
                 f'--pretrained {arguments.pretrained} does not fit: {error}; leave out the '

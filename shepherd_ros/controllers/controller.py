@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from shepherd_ros.config import Config
+from shepherd_ros.config import Config, ConfigError
 from shepherd_ros.registry import Registry
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import wrap
@@ -34,6 +34,19 @@ class Controller:
         """Store the configuration, and that of the world."""
         self.config = config
         self.world = world
+
+    @classmethod
+    def in_preset(cls, config: Any, world: WorldConfig, preset: str) -> Controller:
+        """Return the controller of a world of a preset, which may have options for its parts."""
+        return cls(config, world)
+
+    @classmethod
+    def options_of(cls, text: str) -> dict[str, Any]:
+        """Return the options that the text after its name and a colon gives, or ConfigError."""
+        raise ConfigError(
+            f'controller is {f"{cls.name}:{text}"!r}: expected a checkpoint only after policy:, '
+            'and two controllers only after composite:'
+        )
 
     def begin(self, state: WorldState) -> Memory:
         """Return the memory at the first state of an episode."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.controllers.controller import Controller, CONTROLLERS, Memory
@@ -51,6 +52,11 @@ class LearnedController(Controller):
         self.policy = policy
         self.dtype = dtype
         require_same_world(self.policy, world)
+
+    @classmethod
+    def options_of(cls, text: str) -> dict[str, Any]:
+        """Return the checkpoint that the text names; without any, the default one."""
+        return {'checkpoint': text} if text else {}
 
     def begin(self, state: WorldState) -> Memory:
         """Return the memory of a team before its first scan."""

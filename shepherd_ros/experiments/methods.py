@@ -1,7 +1,8 @@
-"""Methods of an experiment: controllers by name, policies as policy:CHECKPOINT."""
+"""Methods of an experiment: controllers by name, such as policy:CHECKPOINT, composite:A,B."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 import hashlib
@@ -9,6 +10,7 @@ from typing import Any
 
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import CONTROLLERS, make_controller
+from shepherd_ros.controllers.composite import CompositeConfig, CompositeController, PARTS
 from shepherd_ros.controllers.controller import Controller
 from shepherd_ros.controllers.policy_controller import LearnedConfig, LearnedController
 from shepherd_ros.experiments.setting import env_config, Setting
@@ -23,27 +25,38 @@ from torch import Tensor
 POLICY = LearnedController.name
 
 
-def split_name(word: str) -> tuple[str, str]:
-    """Return controller and checkpoint, '' without one, of a name; or raise ConfigError."""
-    kind, colon, checkpoint = word.partition(':')
-    if CONTROLLERS[kind].name != POLICY and colon:
-        raise ConfigError(f'controller is {word!r}: expected a checkpoint only after policy:')
-    if checkpoint:
-        checkpoint_file(checkpoint)
-    return kind, checkpoint
+def split_name(word: str) -> tuple[str, dict[str, Any]]:
+    """Return controller and options, such as a checkpoint, of a name; or raise ConfigError."""
+    kind, colon, text = word.partition(':')
+    known = CONTROLLERS[kind]
+    options = known.options_of(text) if colon else {}
+    if 'checkpoint' in options:
+        checkpoint_file(options['checkpoint'])
+    for part in _parts(kind, options):
+        split_name(part)
+    return kind, options
 
 
 def full_name(word: str) -> str:
-    """Return a name with its checkpoint: policy is policy:imitation; or raise ConfigError."""
-    kind, checkpoint = split_name(word)
-    if kind != POLICY:
-        return kind
-    return f'{POLICY}:{checkpoint or LearnedConfig().checkpoint}'
+    """Return a name with its checkpoints: policy is policy:imitation; or raise ConfigError."""
+    kind, options = split_name(word)
+    if kind == POLICY:
+        return f'{POLICY}:{options.get("checkpoint", LearnedConfig().checkpoint)}'
+    parts = [full_name(part) for part in _parts(kind, options)]
+    distances = word.split(',')[len(parts) :]
+    return f'{kind}:{",".join([*parts, *distances])}' if parts else kind
+
+
+def _parts(kind: str, options: Mapping[str, Any]) -> list[str]:
+    """Return the names of the controllers that the options of a composite name."""
+    is_composite = kind == CompositeController.name
+    return [options[key] for key in PARTS if key in options] if is_composite else []
 
 
 def checkpoint_of(name: str) -> str:
     """Return the checkpoint in the full name of a policy, empty for the others."""
-    return name.partition(':')[2]
+    kind, _, text = name.partition(':')
+    return text if kind == POLICY else ''
 
 
 def label(name: str) -> str:
@@ -64,9 +77,15 @@ def sorted_methods(names: list[str]) -> list[str]:
 
 
 def checkpoint_hash(name: str) -> str:
-    """Return the SHA-256 of the file of a policy's checkpoint, empty for other controllers."""
+    """
+    Return the SHA-256 of the file of a policy's checkpoint, empty for other controllers.
+
+    Those of a composite of policies are joined by +.
+    """
     checkpoint = checkpoint_of(name)
-    return _read(checkpoint, _written(checkpoint))[1] if checkpoint else ''
+    if not checkpoint:
+        return '+'.join(filter(None, map(checkpoint_hash, _parts(*split_name(name)))))
+    return _read(checkpoint, _written(checkpoint))[1]
 
 
 def loaded(checkpoint: str) -> Policy:
@@ -119,19 +138,27 @@ class FaultyLidarController(LearnedController):
 
 def make_method(name: str, setting: Setting) -> Controller:
     """Return the controller of a full name in a setting, or raise ConfigError."""
-    options = PRESETS[setting.preset].controllers.get(name, {})
-    return method_in(env_config(setting), name, setting.any_dt, **options)
+    return method_in(env_config(setting), name, setting.any_dt, setting.preset)
 
 
-def method_in(config: EnvConfig, name: str, any_dt: bool = False, **options: Any) -> Controller:
+def method_in(
+    config: EnvConfig, name: str, any_dt: bool = False, preset: str = 'default'
+) -> Controller:
     """Return the controller of a full name in an environment, or raise ConfigError."""
     checkpoint = checkpoint_of(name)
     if not checkpoint:
-        return make_controller(name, config.world, **options)
+        kind, own = split_name(name)
+        options = {**PRESETS[preset].controllers.get(kind, {}), **own}
+        if kind != CompositeController.name:
+            return make_controller(kind, config.world, **options)
+        chosen = CompositeConfig(**options)
+        parts = (full_name(getattr(chosen, part)) for part in PARTS)
+        made = (method_in(config, part, any_dt, preset) for part in parts)
+        return CompositeController(chosen, config.world, *made)
     policy = loaded(checkpoint)
     if any_dt:
         policy = policy.with_config(replace(policy.config, dt=config.world.dt))
-    learned = LearnedConfig(checkpoint=checkpoint, **options)
+    learned = LearnedConfig(checkpoint=checkpoint)
     faults, rays = config.lidar.changes(), config.lidar.n_rays
     if not faults:
         return LearnedController(learned, config.world, policy)

@@ -10,6 +10,7 @@ from shepherd_ros.config import Config, option
 from shepherd_ros.policy.policy import Policy
 import torch
 from torch import nn, Tensor
+from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel
 
 Weights = list[Tensor] | tuple[Tensor, ...]
@@ -28,13 +29,30 @@ class CloneConfig(Config):
     huber_delta: float = option(
         0.15, 'errors beyond this count in proportion, not squared [m/s]', low=0.001
     )
+    clip_speed: float = option(
+        0.0,
+        'the mean is cut to this speed before its error is taken [m/s]; 0: it is not',
+        low=0.0,
+    )
+    gate_weight: float = option(
+        0.1, 'weight of the cross-entropy of the gate, with two modes [m2/s2]', low=0.0
+    )
+    hold_weight: float = option(
+        1.0, 'weight of the error while the teacher holds, with two modes', low=0.0
+    )
     ema_decay: float = option(
         0.998, 'share that the running mean of the weights keeps in a step', low=0.0, high=1.0
     )
 
 
 class Examples:
-    """The newest examples: scaled frames (K, C, R), the ray in front, the wanted action (2,)."""
+    """
+    The newest examples: scaled frames (K, C, R), the ray in front, the wanted action (2,).
+
+    With them come the mode of the teacher, hold or drive, and the weight of their error.
+    """
+
+    COLUMNS = ('frames', 'first', 'wanted', 'hold', 'weight')
 
     def __init__(self, policy: Policy, capacity: int, dtype: torch.dtype) -> None:
         """Create an empty store; its memory is used as it fills."""
@@ -43,28 +61,44 @@ class Examples:
         self.frames = torch.empty(capacity, *shape, dtype=dtype)
         self.first = torch.empty(capacity, dtype=torch.int64)
         self.wanted = torch.empty(capacity, 2)
+        self.hold = torch.zeros(capacity, dtype=torch.bool)
+        self.weight = torch.ones(capacity)
         self.capacity, self.count = capacity, 0
 
     def state_dict(self) -> dict[str, Any]:
         """Return the examples in the store, and the number of all so far."""
-        parts = {name: getattr(self, name)[: len(self)] for name in ('frames', 'first', 'wanted')}
+        parts = {name: getattr(self, name)[: len(self)] for name in self.COLUMNS}
         return {'count': self.count, **{name: values.clone() for name, values in parts.items()}}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the state that state_dict() returned."""
         self.count = state['count']
-        for name in ('frames', 'first', 'wanted'):
+        for name in self.COLUMNS:
             getattr(self, name)[: len(self)] = state[name]
 
     def __len__(self) -> int:
         """Return the number of examples in the store."""
         return min(self.count, self.capacity)
 
-    def add(self, frames: Tensor, first: Tensor, wanted: Tensor) -> None:
-        """Replace the oldest by n examples; wanted (n, 2) m/s is relative to the first ray."""
+    def add(
+        self,
+        frames: Tensor,
+        first: Tensor,
+        wanted: Tensor,
+        hold: Tensor | bool = False,
+        weight: Tensor | float = 1.0,
+    ) -> None:
+        """
+        Replace the oldest by n examples; wanted (n, 2) m/s is relative to the first ray.
+
+        hold (n,) bool is the mode of the teacher, weight (n,) that of the error.
+        """
         index = (self.count + torch.arange(len(first))) % self.capacity
         self.frames[index] = frames.to(self.frames.dtype)
         self.first[index], self.wanted[index] = first, wanted
+        self.hold[index], self.weight[index] = (
+            torch.as_tensor(hold), torch.as_tensor(weight, dtype=torch.float32)
+        )  # fmt: skip
         self.count += len(first)
 
     def draw(self, size: int, generator: torch.Generator, newest: int = 0) -> Tensor:
@@ -125,13 +159,28 @@ class CloneLearner:
         Return the mean squared error [m2/s2] of some examples, of outliers as in Huber (1964).
 
         Where a teacher may turn either way, squares ask for the mean, which is to stand still, and
-        hide all finer errors; in proportion, they ask for one of the two.
+        hide all finer errors; in proportion, they ask for one of the two. With two modes, the
+        error is that of the teacher's mode, and the gate has the cross-entropy with it.
         """
-        x = self.policy.arrange(examples.frames[chosen], examples.first[chosen])
-        mean, _ = self.policy.actor(x)
+        config, actor = self.config, self.policy.actor
+        out = actor.outputs(self.policy.arrange(examples.frames[chosen], examples.first[chosen]))
+        gate, hold = actor.gate(out), examples.hold[chosen]
+        mean, _ = actor.action_of(out, None if gate is None else hold)
+        if config.clip_speed:
+            speed = torch.linalg.vector_norm(mean, dim=-1, keepdim=True)
+            mean = mean * (config.clip_speed / speed.clamp(min=config.clip_speed))
         error = torch.linalg.vector_norm(mean - examples.wanted[chosen], dim=-1)
-        bound = self.config.huber_delta
-        return torch.where(error < bound, error.square(), bound * (2 * error - bound)).mean()
+        bound = config.huber_delta
+        loss = torch.where(error < bound, error.square(), bound * (2 * error - bound))
+        if gate is not None:
+            entropy = functional.binary_cross_entropy_with_logits(
+                gate, hold.float(), reduction='none'
+            )
+            loss = loss * torch.where(hold, config.hold_weight, 1.0) + config.gate_weight * entropy
+        weight = examples.weight[chosen]
+        if (weight == 1).all():
+            return loss.mean()
+        return (loss * weight).sum() / weight.sum()
 
     def learn(self, examples: Examples) -> float:
         """Train for the steps of a round; return the mean loss."""

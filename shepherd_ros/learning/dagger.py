@@ -10,15 +10,15 @@ from collections.abc import Callable
 from copy import deepcopy
 from typing import Any
 
-from shepherd_ros.controllers import make_controller
-from shepherd_ros.controllers.controller import Controller
+from shepherd_ros.config import ConfigError
+from shepherd_ros.controllers.composite import HOME, WORD
 from shepherd_ros.controllers.policy_controller import require_same_world
-from shepherd_ros.experiments.methods import checkpoint_of, full_name
 from shepherd_ros.learning.clone import CloneLearner, Examples
 from shepherd_ros.learning.dagger_bags import DaggerBags
 from shepherd_ros.learning.dagger_config import DaggerConfig
 from shepherd_ros.learning.group import WorldGroup
 from shepherd_ros.learning.run_folder import RunFolder
+from shepherd_ros.learning.teachers import make_teacher
 from shepherd_ros.learning.training_loop import TrainingLoop
 from shepherd_ros.policy import inference
 from shepherd_ros.policy.network import fast_dtype
@@ -27,16 +27,8 @@ from shepherd_ros.sim.flocking import model_of
 from shepherd_ros.sim.observation import rotate_by_ray
 from shepherd_ros.sim.rollout import Moment
 from shepherd_ros.sim.state import WorldState
-from shepherd_ros.sim.world import WorldConfig
 import torch
 from torch import Tensor
-
-
-def _make_teacher(name: str, world: WorldConfig) -> Controller:
-    """Return the controller of this name."""
-    name = full_name(name)
-    options = {'checkpoint': checkpoint_of(name)} if checkpoint_of(name) else {}
-    return make_controller(name.partition(':')[0], world, **options)
 
 
 class LabelledWorlds:
@@ -75,27 +67,16 @@ class LabelledWorlds:
         moment = self.group.moment
         state, world = moment.state, moment.config.world
         require_same_world(self.policy, world)
-        teacher, at_home = self.config.teachers(model_of(world.flock).name)
-        self.teacher = _make_teacher(teacher, world)
-        self.home_teacher = _make_teacher(at_home, world) if at_home else None
+        name = self.config.teacher_of(model_of(world.flock).name)
+        self.teacher = make_teacher(name, world)
         self.taught = self.teacher.begin(state)
-        if self.home_teacher is not None:
-            self.taught_home = self.home_teacher.begin(state)
+        if self.policy.config.network.modes == 2 and HOME not in self.taught:
+            raise ConfigError(
+                f'teacher is {name!r}: expected {WORD}, as a policy with two modes '
+                'learns which of them it is; or leave modes at 1'
+            )
         worlds, team = state.shepherd_mask.shape
         self.learned = inference.begin(self.policy, (worlds,), team, self.dtype)
-
-    def _label(self, state: WorldState) -> Tensor:
-        """Return the commands of the teacher, or of that near the goal, (B, H, 2) m/s."""
-        label, self.taught = self.teacher.act(state, self.taught)
-        if self.home_teacher is None:
-            return label
-        at_home, self.taught_home = self.home_teacher.act(state, self.taught_home)
-        rim_distance = (
-            torch.linalg.vector_norm(state.center - state.goal, dim=-1) - state.goal_radius
-        )
-        return torch.where(
-            (rim_distance < self.config.home_distance)[:, None, None], at_home, label
-        )
 
     def _command(self, moment: Moment) -> Tensor:
         """Return the learner's commands, (B, H, 2) m/s."""
@@ -114,21 +95,29 @@ class LabelledWorlds:
         for t in range(steps):
             moment = self.group.moment
             decides = bool((self.learned['count'] % self.policy.config.action_repeat == 0).all())
-            label, command = self._label(moment.state), self._command(moment)
+            label, self.taught = self.teacher.act(moment.state, self.taught)
+            command = self._command(moment)
             example_due |= t % self.config.example_interval == 0
             if example_due and decides:
                 example_due = False
-                present = moment.state.shepherd_mask
-                frames = self.policy.config.frames.select(self.learned['history'][present])
-                first = self.learned['first'][present]
-                target = rotate_by_ray(label[present], -first, frames.shape[-1])
-                examples.add(frames, first, target)
+                self._add(examples, moment.state, label)
             executed = label if teacher_drives else command
             self.bags.add(self.group, executed, label)
             self.group.step(executed)
             if self.group.left <= 0:
                 self.close()
                 self._begin(self.full)
+
+    def _add(self, examples: Examples, state: WorldState, label: Tensor) -> None:
+        """Add the examples of a step, in which the learner has decided."""
+        present = state.shepherd_mask
+        frames = self.policy.config.frames.select(self.learned['history'][present])
+        first = self.learned['first'][present]
+        target = rotate_by_ray(label[present], -first, frames.shape[-1])
+        home = self.taught.get(HOME, torch.zeros_like(state.step, dtype=torch.bool))
+        weight = state.team_size.float() ** -self.config.example_team_exponent
+        hold, weight = (x[:, None].expand_as(present)[present] for x in (home, weight))
+        examples.add(frames, first, target, hold, weight)
 
     def close(self) -> None:
         """Finish the bags of the episode."""
@@ -137,8 +126,6 @@ class LabelledWorlds:
     def state_dict(self) -> dict[str, Any]:
         """Return the episode and the memories of its controllers."""
         memories = {'taught': self.taught, 'learned': self.learned}
-        if self.home_teacher is not None:
-            memories['taught_home'] = self.taught_home
         return {'group': self.group.state_dict(), 'memories': memories}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

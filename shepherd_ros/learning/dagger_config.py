@@ -16,14 +16,11 @@ class DaggerConfig(Config):
     """A whole run; all are choices."""
 
     seed: int = option(0, 'seed of weights, worlds and order', low=0)
-    teacher: str = option('drover', 'controller that is imitated; a policy as policy:CHECKPOINT')
+    teacher: str = option(
+        'drover',
+        'controller that is imitated; a policy as policy:CHECKPOINT, two as composite:DRIVE,HOLD',
+    )
     reynolds_teacher: str = option('drover', 'the same for a Reynolds flock')
-    reynolds_home_teacher: str = option(
-        '', 'the same for one whose middle is near the goal; empty: reynolds_teacher'
-    )
-    home_distance: float = option(
-        8.0, 'how near the rim of the goal that is [m] (choice)', low=0.0
-    )
     rounds: int = option(60, 'rounds of driving and learning', low=1)
     teacher_rounds: int = option(6, 'first rounds, in which the teacher drives all worlds', low=0)
     steps_per_round: int = option(40, 'steps of a round', low=1)
@@ -31,6 +28,9 @@ class DaggerConfig(Config):
     groups: int = option(12, 'groups of worlds; those of one share what is drawn', low=1)
     worlds: int = option(8, 'worlds of a group', low=1)
     teacher_groups: int = option(1, 'groups that the teacher always drives', low=0)
+    example_team_exponent: float = option(
+        0.0, 'an example of a team of M counts M to the power of minus this; 0: all alike', low=0.0
+    )
     buffer_size: int = option(200_000, 'examples that are kept, the newest', low=1)
     eval_freq: int = option(10, 'rounds from one evaluation to the next', low=1)
     bag_folder: str = option('', 'folder for bags of all that is driven, with labels; empty: none')
@@ -41,12 +41,9 @@ class DaggerConfig(Config):
     def __post_init__(self) -> None:
         """Check each field and the names of the teachers."""
         super().__post_init__()
-        for name in filter(
-            None, (self.teacher, self.reynolds_teacher, self.reynolds_home_teacher)
-        ):
+        for name in (self.teacher, self.reynolds_teacher):
             full_name(name)
 
-    def teachers(self, flock: str) -> tuple[str, str]:
-        """Return the teacher for a flock model, and that near the goal, '' for the same."""
-        field, home = f'{flock}_teacher', f'{flock}_home_teacher'
-        return getattr(self, field, self.teacher), getattr(self, home, '')
+    def teacher_of(self, flock: str) -> str:
+        """Return the teacher for a flock model."""
+        return str(getattr(self, f'{flock}_teacher', self.teacher))

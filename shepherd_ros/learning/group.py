@@ -6,11 +6,10 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Any
 
-from shepherd_ros.learning.task import draw_environment, TaskConfig
+from shepherd_ros.learning.task import draw_environment, start_of, TaskConfig
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.rng import mixed_seeds
 from shepherd_ros.sim.rollout import advance, Moment, start
-from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor
@@ -56,7 +55,8 @@ class WorldGroup:
         """Start an episode of `steps` steps, in a world that is drawn from the task."""
         seeds = mixed_seeds(self.n_worlds, self.seed, self.index, self.episode)
         config = replace(draw_environment(self.task, int(seeds[0])), lidar=self.lidar)
-        self.moment = start(spawn(config.world, seeds.to(self.device)), config, self.count)
+        state = start_of(self.task, config.world, seeds.to(self.device))
+        self.moment = start(state, config, self.count)
         self.left, self.episode = steps, self.episode + 1
 
     def state_dict(self) -> dict[str, Any]:

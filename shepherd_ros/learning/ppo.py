@@ -141,7 +141,8 @@ class PPOLearner:
                 share = len(chosen) / total(len(chosen))  # of the samples of this step
                 x = store.inputs(batch.rows[chosen], batch.first[chosen])
                 if acting:
-                    mean, std = self.policy.actor(x)
+                    hold = None if batch.hold is None else batch.hold[chosen]
+                    mean, std = self.policy.actor(x, hold)
                     log_ratio = log_prob(batch.action[chosen], mean, std) - batch.log_prob[chosen]
                     kl = total(share * float(approximate_kl(log_ratio.detach())))
                     scalars['kl'].append(kl)

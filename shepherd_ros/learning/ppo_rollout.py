@@ -24,6 +24,7 @@ class Decisions:
     action: Tensor  # (G, T, B, H, 2) m/s, relative to the ray in front
     log_prob: Tensor
     value: Tensor
+    hold: Tensor | None  # bool, the mode of the action; None with one mode
     next_value: Tensor  # where the episode ends
     reward: Tensor
     ended: Tensor  # (G, T) bool
@@ -39,6 +40,7 @@ class Batch:
     log_prob: Tensor  # (n,)
     value: Tensor  # (n,)
     advantage: Tensor  # (n,)
+    hold: Tensor | None  # (n,) bool, the mode of the action; None with one mode
 
 
 def log_prob(action: Tensor, mean: Tensor, std: Tensor) -> Tensor:
@@ -67,6 +69,7 @@ class Rollout:
         """
         self.policy, self.decisions, self.reward = policy, decisions, reward
         self.device, repeat = policy.device, policy.config.action_repeat
+        self.two_modes = policy.config.network.modes == 2
         # each process draws and starts for itself
         mixed = int(mixed_seeds(1, seed, rank()))
         self.generator = torch.Generator(self.device).manual_seed(mixed)
@@ -96,7 +99,8 @@ class Rollout:
         action = torch.zeros(*shape, 2, device=self.device)
         log_probs, value, following, reward = action.new_zeros(4, *shape)
         ended = torch.zeros(shape[:2], dtype=torch.bool, device=CPU)
-        made = Decisions(action, log_probs, value, following, reward, ended)
+        hold = torch.zeros_like(value, dtype=torch.bool) if self.two_modes else None
+        made = Decisions(action, log_probs, value, hold, following, reward, ended)
         for group in self.groups:
             group.terms = {}
         for t in range(self.decisions):
@@ -116,7 +120,11 @@ class Rollout:
         g, _, world, shepherd = agents
         index, first = (g, torch.full_like(g, t), world, shepherd), store.first[agents]
         x = store.inputs(store.rows_of(*agents), first)
-        mean, std = policy.actor(x)
+        out = policy.actor.outputs(x)
+        hold = policy.actor.hold(out)
+        mean, std = policy.actor.action_of(out, hold)
+        if made.hold is not None and hold is not None:
+            made.hold[index] = hold
         chosen = mean + std * torch.randn(mean.shape, generator=self.generator, device=device)
         made.action[index], made.log_prob[index] = chosen, log_prob(chosen, mean, std)
         made.value[index] = policy.critic(x)
@@ -165,6 +173,7 @@ class Rollout:
         return Batch(
             store.rows_of(*agents), store.first[agents],
             made.action[index], made.log_prob[index], made.value[index], advantage[index],
+            None if made.hold is None else made.hold[index],
         )  # fmt: skip
 
     def _terms(self, repeat: int) -> dict[str, float]:

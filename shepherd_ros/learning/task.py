@@ -11,9 +11,14 @@ from shepherd_ros.registry import Extended
 from shepherd_ros.sim.flocking import FLOCK_MODELS, PAPER_FLOCKS
 from shepherd_ros.sim.presets import home_world, training_world, world_preset
 from shepherd_ros.sim.reward import RewardConfig
+from shepherd_ros.sim.rng import Stream, uniform
 from shepherd_ros.sim.rollout import EnvConfig
+from shepherd_ros.sim.spawn import spawn
+from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.sim.world_parameters import WORLD_PARAMETERS
+import torch
+from torch import Tensor
 
 
 @dataclass(frozen=True)
@@ -46,12 +51,24 @@ class TaskConfig(Extended):
     repulsion_min: float = option(2.0, 'least rho_a of a flock that has one', low=0.0)
     repulsion_max: float = option(2.0, 'greatest rho_a of a flock that has one', low=0.0)
     noise_max: float = option(0.0, 'noise on perceived positions is between 0 and this [m]', low=0)
+    noise_free_share: float = option(
+        0.0, 'share of episodes without that noise', low=0.0, high=1.0
+    )
+    team_exponent: float = option(
+        0.0,
+        'a team of M is drawn in proportion to M to the power of minus this; 0: all as often',
+        low=0.0,
+    )
     home_share: float = option(
         0.0,
         'share of episodes that start with the flock in the goal and shepherds all around it',
         low=0.0,
         high=1.0,
     )
+    home_distance_min: float = option(
+        0.0, 'least distance of the flock of such a start from the middle of the goal [m]', low=0.0
+    )
+    home_distance_max: float = option(2.0, 'greatest such distance [m]', low=0.0)
     effort: float = option(
         0.0, 'reward that a meter of its way costs a shepherd (choice: the paper has none)', low=0
     )
@@ -61,7 +78,7 @@ class TaskConfig(Extended):
     def __post_init__(self) -> None:
         """Check each field and the order of the intervals."""
         super().__post_init__()
-        for name in ('sheep', 'shepherds', 'goal_radius', 'repulsion'):
+        for name in ('sheep', 'shepherds', 'goal_radius', 'repulsion', 'home_distance'):
             low, high = getattr(self, f'{name}_min'), getattr(self, f'{name}_max')
             if low > high:
                 raise ConfigError(f'{name}_min is {low}: expected at most {name}_max, {high}')
@@ -86,12 +103,40 @@ def draw_environment(task: TaskConfig, seed: int) -> EnvConfig:
     if task.sheep_scale == 'log':
         ratio = (task.sheep_max + 1) / task.sheep_min
         sheep = min(int(task.sheep_min * ratio**share), task.sheep_max)
+    noise = 0.0 if draw.random() < task.noise_free_share else noise
     base = base_world(task, flock if task.flock == 'both' else task.flock)
-    base = home_world(base) if at_home else base
+    base = near_home(base, task) if at_home else base
     weight = base.flock.repulsion_option
     flock_config = replace(base.flock, **({weight: repulsion} if weight else {}))
     world = replace(base, n_sheep=sheep, flock=flock_config)
     return EnvConfig(noise_std=noise, world=world, reward=task.reward)
+
+
+def near_home(world: WorldConfig, task: TaskConfig) -> WorldConfig:
+    """Return a world that starts with the flock at home, as far from the goal as a task says."""
+    world = home_world(world)
+    spawn = replace(
+        world.spawn,
+        flock_distance_min=task.home_distance_min,
+        flock_distance_max=task.home_distance_max,
+    )
+    return replace(world, spawn=spawn)
+
+
+def start_of(task: TaskConfig, world: WorldConfig, seed: Tensor) -> WorldState:
+    """Return the first state of episodes with these seeds, (...) int64, in a world of a task."""
+    if not task.team_exponent:
+        return spawn(world, seed)
+    whole = replace(world, spawn=replace(world.spawn, fewest_shepherds=0))
+    state, teams = spawn(whole, seed), torch.arange(task.shepherds_min, task.shepherds_max + 1)
+    share = (teams.double() ** -task.team_exponent).cumsum(dim=0)
+    zero, index = torch.zeros_like(seed), torch.zeros(1, dtype=torch.int64, device=seed.device)
+    drawn = uniform(seed, zero, Stream.N_SHEPHERDS, index, torch.float64)  # (..., 1)
+    passed = drawn * share[-1] >= share[:-1].to(seed.device)
+    size = task.shepherds_min + passed.sum(dim=-1, keepdim=True)  # (..., 1)
+    present = torch.arange(task.shepherds_max, device=seed.device) < size
+    shepherds = state.shepherds * present[..., None]
+    return replace(state, shepherds=shepherds, shepherd_mask=present)
 
 
 def base_world(task: TaskConfig, flock: str) -> WorldConfig:

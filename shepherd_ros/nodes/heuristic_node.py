@@ -42,8 +42,8 @@ class HeuristicNode(ShepherdNode):
         self.kind = CONTROLLERS[controller]
         presets = tuple(sorted(PRESETS))
         doc = 'defaults of the options: ' + ', '.join(presets)
-        preset = self.option('preset', 'default', doc, choices=presets)
-        changes = PRESETS[preset].controllers.get(controller, {})
+        self.preset: str = self.option('preset', 'default', doc, choices=presets)
+        changes = PRESETS[self.preset].controllers.get(controller, {})
         self.options = declare_config(self, self.kind.config_type(**changes))
         self.shepherd_ids: list[int] = self.option(
             'shepherd_ids', [ALL_SHEPHERDS], 'shepherds to command; [-1]: all of the episode'
@@ -65,7 +65,7 @@ class HeuristicNode(ShepherdNode):
 
     def on_episode(self, episode: Episode, world: WorldConfig) -> None:
         """Create the controller and the publishers of an episode."""
-        self.controller = self.kind(self.options, world)
+        self.controller = self.kind.in_preset(self.options, world, self.preset)
         self.last = None
         ids = self.shepherd_ids
         team = range(episode.n_shepherds) if ALL_SHEPHERDS in ids else ids

@@ -45,6 +45,7 @@ def card(name: str, policy: Policy, record: Mapping[str, Any]) -> str:
         f'- {network.filters_1} and {network.filters_2} filters, {network.hidden} units, '
         f'{network.padding} padding: {actor:,} weights of the actor, as many but a few of the '
         'critic',
+        *(['- two modes, drive and hold, and a gate that chooses'] if network.modes == 2 else []),
         f'- an action is held for {repeat} step{"s" if repeat > 1 else ""}',
         '',
     ]

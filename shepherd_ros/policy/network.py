@@ -32,6 +32,13 @@ class NetworkConfig(Config):
         choices=('state', 'free'),
     )
     init_std: float = option(0.6, 'standard deviation before training [m/s]', low=0.001)
+    modes: int = option(
+        1,
+        'modes of an action: 1; or 2, drive and hold, each with a mean, and a gate that chooses',
+        low=1,
+        high=2,
+        sparse=True,
+    )
     min_std: float = option(0.05, 'smallest standard deviation [m/s]', low=0.0001)
     max_std: float = option(1.65, 'largest standard deviation [m/s]', low=0.001)
 
@@ -92,28 +99,65 @@ class Body(nn.Module):
 
 
 class Actor(nn.Module):
-    """From input (B, D, L) to mean and standard deviation of the action, (B, 2) m/s each."""
+    """
+    From input (B, D, L) to mean and standard deviation of the action, (B, 2) m/s each.
+
+    With two modes, drive and hold, the head has outputs for each, and a gate at its end: the
+    logit of hold. An action is that of one mode, never a mean of the two.
+    """
 
     def __init__(self, shape: tuple[int, int], config: NetworkConfig) -> None:
         """Create the network; its first mean is close to zero."""
         super().__init__()
         self.config = config
         self.body = Body(shape, config)
-        self.head = nn.Linear(config.hidden, 4 if config.std_type == 'state' else 2)
+        self.width = 4 if config.std_type == 'state' else 2  # outputs of a mode
+        gates = config.modes - 1
+        self.head = nn.Linear(config.hidden, config.modes * self.width + gates)
         nn.init.orthogonal_(self.head.weight, 0.01)
         nn.init.zeros_(self.head.bias)
         if config.std_type == 'free':
-            self.log_std = nn.Parameter(torch.full((2,), math.log(config.init_std)))
+            size = (2,) if config.modes == 1 else (config.modes, 2)
+            self.log_std = nn.Parameter(torch.full(size, math.log(config.init_std)))
 
-    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Return mean and standard deviation, (B, 2) m/s each, float32."""
-        out = self.head(self.body(x).float())
+    def forward(self, x: Tensor, hold: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Return action_of() the outputs for an input."""
+        return self.action_of(self.outputs(x), hold)
+
+    def outputs(self, x: Tensor) -> Tensor:
+        """Return the outputs of the head for an input, (B, outputs) float32."""
+        return self.head(self.body(x).float())
+
+    def gate(self, out: Tensor) -> Tensor | None:
+        """Return the logit of hold in outputs, (B,); None with one mode."""
+        return out[:, -1] if self.config.modes == 2 else None
+
+    def hold(self, out: Tensor) -> Tensor | None:
+        """Return whether the gate chooses to hold, (B,) bool; None with one mode."""
+        gate = self.gate(out)
+        return None if gate is None else gate > 0
+
+    def action_of(self, out: Tensor, hold: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """
+        Return mean and standard deviation, (B, 2) m/s each, float32, of outputs of the head.
+
+        hold (B,) bool is the mode; None: the one that the gate chooses.
+        """
+        hold = self.hold(out) if hold is None else hold
+        own = out if hold is None else self._of_mode(out, hold)
         if self.config.std_type == 'state':
-            log_std = out[:, 2:] + math.log(self.config.init_std)
+            log_std = own[:, 2:] + math.log(self.config.init_std)
+        elif hold is None:
+            log_std = self.log_std.expand(len(out), 2)
         else:
-            log_std = self.log_std.expand(len(x), 2)
+            log_std = torch.where(hold[:, None], self.log_std[1], self.log_std[0])
         low, high = math.log(self.config.min_std), math.log(self.config.max_std)
-        return out[:, :2], log_std.clamp(low, high).exp()
+        return own[:, :2], log_std.clamp(low, high).exp()
+
+    def _of_mode(self, out: Tensor, hold: Tensor) -> Tensor:
+        """Return the outputs (B, width) of the mode."""
+        drive, kept = out[:, : self.width], out[:, self.width : 2 * self.width]
+        return torch.where(hold[:, None], kept, drive)
 
 
 class Critic(nn.Module):

@@ -40,7 +40,8 @@ def _network(config: PolicyConfig) -> Rows:
         ('layout', f'{sees.layout}, first ray toward the {sees.align}'),
         (
             'network',
-            f'{network.filters_1} and {network.filters_2} filters, {network.hidden} units',
+            f'{network.filters_1} and {network.filters_2} filters, {network.hidden} units'
+            + ', a gate that chooses to drive or to hold' * (network.modes == 2),
         ),
         ('time step', f'{config.dt:g} s; an action is held for {held} step{"s" * (held > 1)}'),
     ]

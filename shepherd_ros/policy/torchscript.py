@@ -25,8 +25,8 @@ class PlainActor(nn.Module):
         first = self.policy.first_ray(frames[:, -1])
         x = self.policy.arrange(self.policy.scale(frames), first)
         actor = self.policy.actor
-        out = actor.head(actor.body.plain(x))
-        return rotate_by_ray(out[:, :2], first, frames.shape[-1])
+        mean, _ = actor.action_of(actor.head(actor.body.plain(x)))
+        return rotate_by_ray(mean, first, frames.shape[-1])
 
 
 def export_actor(policy: Policy, path: Path) -> float:

@@ -10,6 +10,7 @@ import pytest
 from shepherd_ros import __version__
 from shepherd_ros.cli import evaluate_verb, main
 from shepherd_ros.controllers import make_controller
+from shepherd_ros.controllers.composite import CompositeController
 from shepherd_ros.experiments import campaign
 from shepherd_ros.experiments.campaign import plan, seed_batches, shard_of
 from shepherd_ros.experiments.catalog import EXPERIMENTS, experiments
@@ -364,3 +365,21 @@ def test_a_mistake_is_named_before_anything_runs(
 def test_names_of_methods_are_whole() -> None:
     assert full_name('policy') == 'policy:imitation'
     assert full_name('drover') == 'drover'
+    assert full_name('composite:policy,drover') == 'composite:policy:imitation,drover'
+    assert full_name('composite:idle,policy,1,2') == 'composite:idle,policy:imitation,1,2'
+    for wrong in ('composite:idle,nobody', 'composite:policy:nowhere,idle'):
+        with pytest.raises(ConfigError, match=r'nobody|nowhere'):
+            full_name(wrong)
+
+
+def test_a_composite_is_known_by_the_files_of_its_policies() -> None:
+    files = [checkpoint_hash(f'policy:{name}') for name in ('imitation', 'general')]
+    assert checkpoint_hash('composite:policy:imitation,drover') == files[0]
+    assert checkpoint_hash('composite:policy:imitation,policy:general') == '+'.join(files)
+    assert checkpoint_hash('composite:idle,drover') == checkpoint_hash('composite') == ''
+    setting = replace(TINY, preset='paper')
+    law = make_method('composite:strombom,pierson,0.5,1', setting)
+    assert isinstance(law, CompositeController)
+    assert (law.config.home_within, law.config.away_beyond) == (0.5, 1.0)
+    for part in (law.drive, law.hold):
+        assert part.config == make_method(part.name, setting).config

@@ -29,7 +29,6 @@ from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.observation import ObservationConfig, rotate_by_ray
 from shepherd_ros.sim.rollout import EnvConfig
-from shepherd_ros.sim.vectors import clip_norm
 from shepherd_ros.sim.world import WorldConfig
 import torch
 
@@ -258,35 +257,8 @@ def test_a_lesson_keeps_what_the_teacher_would_do_where_the_learner_is() -> None
     np.testing.assert_allclose(moved, label[before.shepherd_mask], atol=1e-4)
 
 
-def test_near_the_goal_a_reynolds_flock_can_have_a_teacher_of_its_own() -> None:
-    policy, laws = policy_of(), ('idle', 'drover')
-    task = TaskConfig(flock='reynolds', sheep_min=5, sheep_max=5, shepherds_max=2)
-    config = DaggerConfig(
-        task=task, worlds=2, groups=1, example_interval=1,
-        reynolds_teacher='drover', reynolds_home_teacher='idle', home_distance=8.0,
-    )  # fmt: skip
-    lesson = LabelledWorlds(config, policy, 0, torch.float32)
-    start, examples = lesson.group.moment.state, Examples(policy, 100, torch.float32)
-    # the middle of one flock is 7.9 m from the rim, that of the other 8.1 m
-    away = start.goal_radius + torch.tensor([7.9, 8.1])
-    middle = start.goal + torch.stack([away, torch.zeros(2)], dim=-1)
-    sheep = start.sheep - start.sheep.mean(dim=-2, keepdim=True) + middle[:, None]
-    state = replace(start, sheep=sheep)
-    lesson.group.moment = replace(lesson.group.moment, state=state)
-    world = lesson.group.moment.config.world
-    rest, driven = (
-        law.act(state, law.begin(state))[0] for law in (make_controller(n, world) for n in laws)
-    )
-    expected = clip_norm(torch.stack([rest[0], driven[1]]), world.shepherd_speed)
-    expected *= state.shepherd_mask[..., None]
-    assert driven.abs().sum() > 0
-    lesson.run(1, True, examples)
-    moved = (lesson.group.moment.state.shepherds - state.shepherds) / 0.5
-    torch.testing.assert_close(moved, expected, atol=1e-4, rtol=0)
-
-
 def test_a_teacher_that_nobody_knows_is_refused() -> None:
     with pytest.raises(ConfigError, match="controller is 'nobody'"):
         DaggerConfig(teacher='nobody')
     with pytest.raises(ConfigError, match="controller is 'someone'"):
-        DaggerConfig(reynolds_home_teacher='someone')
+        DaggerConfig(reynolds_teacher='composite:drover,someone')

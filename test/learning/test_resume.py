@@ -337,7 +337,7 @@ def test_labels_are_of_the_step_of_their_frames_when_actions_are_held() -> None:
     newest: list[tuple[Tensor, Tensor]] = []
 
     class Kept:
-        def add(self, frames: Tensor, first: Tensor, wanted: Tensor) -> None:
+        def add(self, frames: Tensor, *columns: Tensor) -> None:
             now = worlds.group.moment
             present = now.state.shepherd_mask
             newest.append((frames[:, -1], policy.scale(now.ranges[present])))

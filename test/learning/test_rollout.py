@@ -11,7 +11,7 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.learning.group import team_reward, WorldGroup
 from shepherd_ros.learning.ppo import PPOConfig, PPOLearner
 from shepherd_ros.learning.ppo_rollout import Rollout
-from shepherd_ros.learning.task import draw_environment, TaskConfig
+from shepherd_ros.learning.task import base_world, draw_environment, start_of, TaskConfig
 from shepherd_ros.learning.validation import VALIDATION_SEED
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
@@ -196,6 +196,42 @@ def test_a_share_of_the_episodes_starts_at_home_and_nothing_else_changes() -> No
         plain = draw_environment(usual, seed)
         world = home_world(plain.world) if home[seed] else plain.world
         assert env == replace(plain, world=world)
+
+
+def test_a_share_of_the_episodes_is_without_noise_and_nothing_else_changes() -> None:
+    usual = TaskConfig(sheep_min=10, noise_max=1.0, home_share=0.2)
+    drawn = [draw_environment(replace(usual, noise_free_share=0.3), seed) for seed in range(1000)]
+    quiet = [env.noise_std == 0 for env in drawn]
+    assert sum(quiet) / 1000 == pytest.approx(0.3, abs=0.04)
+    for seed, env in enumerate(drawn):
+        plain = draw_environment(usual, seed)
+        assert env == (replace(plain, noise_std=0.0) if quiet[seed] else plain)
+
+
+def test_starts_at_home_are_as_far_from_the_goal_as_the_task_says() -> None:
+    task = TaskConfig(home_share=1.0, home_distance_min=3.0, home_distance_max=9.0)
+    world = draw_environment(task, 0).world
+    state = start_of(task, world, torch.arange(400))
+    away = torch.linalg.vector_norm(state.center - state.goal, dim=-1)
+    assert 2.5 < away.min() < 3.5
+    assert 8.5 < away.max() < 9.5
+    near = replace(task, home_distance_min=0.0, home_distance_max=2.0)
+    assert draw_environment(near, 0).world == home_world(draw_environment(TaskConfig(), 0).world)
+
+
+def test_small_teams_are_drawn_more_often_in_the_same_places() -> None:
+    task = TaskConfig(shepherds_min=1, shepherds_max=4, team_exponent=1.0)
+    world, seeds = base_world(task, 'strombom'), torch.arange(5000)
+    state = start_of(task, world, seeds)
+    share = torch.bincount(state.team_size, minlength=5)[1:] / 5000
+    expected = torch.tensor([12.0, 6.0, 4.0, 3.0]) / 25  # in proportion to 1, 1/2, 1/3, 1/4
+    torch.testing.assert_close(share, expected, atol=0.02, rtol=0)
+    even = start_of(replace(task, team_exponent=0.0), world, seeds)
+    assert torch.equal(even.sheep, state.sheep)
+    both = state.shepherd_mask & even.shepherd_mask
+    assert torch.equal(even.shepherds[both], state.shepherds[both])
+    assert (state.shepherds[~state.shepherd_mask] == 0).all()
+    assert set(start_of(replace(task, shepherds_min=3), world, seeds).team_size.tolist()) == {3, 4}
 
 
 def test_on_a_logarithmic_scale_each_doubling_of_a_flock_is_as_frequent() -> None:

@@ -1,0 +1,29 @@
+"""Teachers: controllers whose commands are labels, each that of the very step of its state."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from shepherd_ros.controllers.composite import CompositeController
+from shepherd_ros.controllers.controller import Controller
+from shepherd_ros.controllers.policy_controller import LearnedController
+from shepherd_ros.experiments.methods import full_name, method_in
+from shepherd_ros.sim.rollout import EnvConfig
+from shepherd_ros.sim.world import WorldConfig
+
+
+def make_teacher(word: str, world: WorldConfig) -> Controller:
+    """Return the controller of a name, in which a policy decides at every step."""
+    return _never_holding(method_in(EnvConfig(world=world), full_name(word)))
+
+
+def _never_holding(controller: Controller) -> Controller:
+    """Return the controller; its policies, which hold no command between decisions."""
+    if isinstance(controller, CompositeController):
+        drive, hold = map(_never_holding, (controller.drive, controller.hold))
+        return CompositeController(controller.config, controller.world, drive, hold)
+    if isinstance(controller, LearnedController):
+        policy = controller.policy
+        policy = policy.with_config(replace(policy.config, action_repeat=1))
+        return LearnedController(controller.config, controller.world, policy, controller.dtype)
+    return controller
