@@ -59,6 +59,18 @@ def test_heuristics_of_a_stack_have_the_options_of_its_preset(controller: str) -
     context.try_shutdown()
 
 
+def test_a_composite_of_a_stack_has_its_parts_as_parameters() -> None:
+    stack = stack_in(Setting(preset='paper'), 'composite:policy:strombom,drover,0.5,1')
+    process = stack[-1]
+    assert (process.executable, process.name) == ('composite', 'composite')
+    assert process.parameters == {
+        'drive': 'policy:strombom', 'hold': 'drover', 'home_within': 0.5, 'away_beyond': 1.0,
+        'preset': 'paper',
+    }  # fmt: skip
+    plain = controller_process('composite', {})
+    assert plain.parameters == {}
+
+
 def test_the_stack_has_a_lidar_for_each_shepherd_and_distinct_names() -> None:
     (learned,) = [p for p in herding_stack('policy', 2) if p.name == 'policy']
     assert learned.parameters == {'checkpoint': 'imitation'}  # its default is all shepherds

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from shepherd_ros import __version__
 from shepherd_ros.cli import evaluate_verb, main
+from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.controllers.composite import CompositeController
 from shepherd_ros.experiments import campaign

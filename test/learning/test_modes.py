@@ -42,6 +42,9 @@ def policy_of(config: PolicyConfig = CONFIG) -> Policy:
     torch.manual_seed(5)
     policy = Policy(config)
     policy.actor.head.weight.data *= 60
+    if config.network.modes == 2:
+        x = torch.rand(64, *SHAPE)
+        policy.actor.head.bias.data[-1] -= policy.actor.outputs(x)[:, -1].median().detach()
     return policy
 
 
@@ -123,7 +126,8 @@ def test_the_loss_of_two_modes_by_hand() -> None:
     learner = CloneLearner(policy, config, 0)
     parts = [0.1**2 - 0.5 * math.log(1 / 4), 2 * 0.4**2 - 0.5 * math.log(3 / 4)]
     for chosen, expected in (([0], parts[0]), ([1], parts[1]), ([0, 1], sum(parts) / 2)):
-        assert float(learner.loss(examples, torch.tensor(chosen))) == pytest.approx(expected)
+        loss = learner.loss(examples, torch.tensor(chosen)).detach()
+        assert float(loss) == pytest.approx(expected)
     learner.loss(examples, torch.tensor([0])).backward()
     gradient = head.bias.grad
     assert gradient is not None
@@ -199,6 +203,7 @@ def test_a_policy_that_teaches_decides_at_every_step(tmp_path: Path) -> None:
 
 def test_ppo_learns_of_the_mode_that_acted_and_leaves_the_gate_alone() -> None:
     policy = policy_of()
+    policy.actor.head.weight.data[-1] *= 9
     rollout = Rollout(TASK, policy, 2, 4, 6, 3, torch.float32)
     batch, _ = rollout.collect(0.9, 0.9, 1.0)
     assert batch.hold is not None

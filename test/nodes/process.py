@@ -438,11 +438,11 @@ def twist(ns: int, x: float, y: float, frame_id: str = 'map') -> TwistStamped:
 
 
 def rollout(
-    controller: str, config: EnvConfig, seed: int = 0, episodes: int = 1
+    controller: str, config: EnvConfig, seed: int = 0, episodes: int = 1, **options: Any
 ) -> tuple[list[WorldState], list[dict[str, Tensor]]]:
     """Return every state and its metrics, of episodes with seeds in a row, by env.step alone."""
     env = ShepherdEnv(config, 1, lidar=False)
-    law = make_controller(controller, config.world)
+    law = make_controller(controller, config.world, **options)
     states, metrics = [], []
     for episode in range(episodes):
         env.reset(seed + episode)

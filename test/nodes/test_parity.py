@@ -65,6 +65,20 @@ def test_fifty_steps_over_topics_are_fifty_calls_of_env_step(
     run_whole(graph, track, states, controller)
 
 
+def test_a_composite_over_topics_drives_and_holds_as_in_the_core(graph: Graph) -> None:
+    options = {
+        'drive': 'policy:strombom', 'hold': 'drover', 'home_within': 2.5, 'away_beyond': 4.0
+    }  # fmt: skip
+    config = EnvConfig(world=world_of())
+    states, _ = rollout('composite', config, **options)
+    alone, _ = rollout('composite', config, **options | {'home_within': 0.0})
+    assert not torch.equal(states[-1].shepherds, alone[-1].shepherds)  # both had a turn
+    assert torch.equal(states[1].shepherds, alone[1].shepherds)
+    track = graph.track()
+    graph.start('flock_sim', episode_steps=STEPS, episodes=1)
+    run_whole(graph, track, states, 'composite', **options)
+
+
 @pytest.mark.parametrize(('noise_std', 'executor'), [(0.0, 'single'), (0.5, 'events')])
 def test_scans_and_metrics_over_topics_are_those_of_the_core(
     graph: Graph, noise_std: float, executor: str
