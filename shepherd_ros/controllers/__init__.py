@@ -14,7 +14,14 @@ from typing import Any
 from shepherd_ros.controllers.controller import Controller, CONTROLLERS
 from shepherd_ros.sim.world import WorldConfig
 
-__all__ = ['controller', 'Controller', 'CONTROLLERS', 'make_controller', 'policy_controller']
+__all__ = [
+    'composite',
+    'controller',
+    'Controller',
+    'CONTROLLERS',
+    'make_controller',
+    'policy_controller',
+]
 
 for info in iter_modules(__path__):
     import_module(f'{__name__}.{info.name}')

@@ -141,8 +141,7 @@ class PPOLearner:
                 share = len(chosen) / total(len(chosen))  # of the samples of this step
                 x = store.inputs(batch.rows[chosen], batch.first[chosen])
                 if acting:
-                    hold = None if batch.hold is None else batch.hold[chosen]
-                    mean, std = self.policy.actor(x, hold)
+                    mean, std = self.policy.actor(x, batch.modes(chosen))
                     log_ratio = log_prob(batch.action[chosen], mean, std) - batch.log_prob[chosen]
                     kl = total(share * float(approximate_kl(log_ratio.detach())))
                     scalars['kl'].append(kl)

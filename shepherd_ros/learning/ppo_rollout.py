@@ -42,6 +42,10 @@ class Batch:
     advantage: Tensor  # (n,)
     hold: Tensor | None  # (n,) bool, the mode of the action; None with one mode
 
+    def modes(self, chosen: Tensor) -> Tensor | None:
+        """Return the modes of some decisions, None with one mode."""
+        return None if self.hold is None else self.hold[chosen]
+
 
 def log_prob(action: Tensor, mean: Tensor, std: Tensor) -> Tensor:
     """Return the logarithm of the normal density, up to a constant; (n, 2) -> (n,)."""
