@@ -214,7 +214,8 @@ def _policy(arguments: Any) -> Policy:
     policy = Policy(configured(PolicyConfig, arguments.policy))
     if arguments.pretrained:
         try:
-            warm_start(policy, load_policy(arguments.pretrained))
+            new_critic = getattr(arguments.run_, 'new_critic', False)
+            warm_start(policy, load_policy(arguments.pretrained), new_critic)
         except RuntimeError as error:
             raise UserError(
                 f'--pretrained {arguments.pretrained} does not fit: {error}; leave out the '

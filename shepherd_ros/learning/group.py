@@ -77,6 +77,13 @@ class WorldGroup:
         self.moment = advance(self.moment, command)
         self.left -= 1
 
+    def _costs(self, state: WorldState) -> Tensor | float:
+        """Return whether a way has a cost in a state, (B, 1), or 1 for everywhere."""
+        if self.task.effort_from == 'start':
+            return 1.0
+        away = torch.linalg.vector_norm(state.center - state.goal, dim=-1)
+        return (away <= state.goal_radius)[:, None]
+
     def hold(self, command: Tensor, repeat: int, reward: Reward) -> Tensor:
         """
         Hold a command (B, H, 2) m/s for some steps; return the sum of the rewards, (B, H).
@@ -93,8 +100,9 @@ class WorldGroup:
                 displacement = torch.linalg.vector_norm(
                     moment.state.shepherds - moment.before.shepherds, dim=-1
                 )
-                total -= effort * displacement
-                terms = terms | {'effort': -effort * displacement}
+                cost = effort * displacement * self._costs(moment.before)
+                total -= cost
+                terms = terms | {'effort': -cost}
             for name, term in terms.items():
                 self.terms[name] = self.terms.get(name, 0.0) + term.mean()
         return total

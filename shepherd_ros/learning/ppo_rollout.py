@@ -8,6 +8,8 @@ from typing import Any
 from shepherd_ros.learning.distributed import rank
 from shepherd_ros.learning.gae import advantages
 from shepherd_ros.learning.group import CPU, Reward, team_reward, WorldGroup
+from shepherd_ros.learning.home_labels import HomeLabels
+from shepherd_ros.learning.state_critic import StateCritic
 from shepherd_ros.learning.store import Store
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.policy.policy import Policy
@@ -41,6 +43,8 @@ class Batch:
     value: Tensor  # (n,)
     advantage: Tensor  # (n,)
     hold: Tensor | None  # (n,) bool, the mode of the action; None with one mode
+    label: Tensor | None = None  # (n, 2) m/s, relative to that ray, of the teacher; None without
+    home: Tensor | None = None  # (n,) bool, whether the teacher teaches there
 
     def modes(self, chosen: Tensor) -> Tensor | None:
         """Return the modes of some decisions, None with one mode."""
@@ -65,11 +69,14 @@ class Rollout:
         seed: int,
         dtype: torch.dtype,
         reward: Reward = team_reward,
+        critic: StateCritic | None = None,
+        teacher: str = '',
     ) -> None:
         """
         Start groups x worlds worlds; collect() makes that many decisions in each.
 
-        All tensors are on the device of the policy.
+        critic takes the place of the policy's own; teacher labels the states at home. All tensors
+        are on the device of the policy.
         """
         self.policy, self.decisions, self.reward = policy, decisions, reward
         self.device, repeat = policy.device, policy.config.action_repeat
@@ -78,15 +85,20 @@ class Rollout:
         mixed = int(mixed_seeds(1, seed, rank()))
         self.generator = torch.Generator(self.device).manual_seed(mixed)
         self.steps = task.episode_steps // repeat * repeat
-        self.store = Store(policy, groups, worlds, task.shepherds_max, decisions, dtype)
+        self.critic = critic
+        self.store = Store(
+            policy, groups, worlds, task.shepherds_max, decisions, dtype, critic is not None
+        )
         lidar, own_groups = policy.config.lidar, range(rank() * groups, (rank() + 1) * groups)
         self.groups = [
             WorldGroup(task, g, worlds, seed, lidar, device=self.device) for g in own_groups
         ]
+        self.labels = HomeLabels(teacher, groups, self.store.mask.shape[2:], decisions)
         for g, group in enumerate(self.groups):
             # the first episodes are of different length, so that not all end at once
             length = self.steps * (g + 1) // groups // repeat * repeat
             group.begin(max(length, repeat))
+            self.labels.begin(g, group.moment)
             self.store.put(g, self.store.before, group.moment, starts=True)
 
     @torch.no_grad()
@@ -110,6 +122,8 @@ class Rollout:
         for t in range(self.decisions):
             command = self._decide(t, made)
             for g, group in enumerate(self.groups):
+                self.labels.add(g, t, group.moment)
+            for g, group in enumerate(self.groups):
                 made.reward[g, t] = group.hold(command[g], repeat, self.reward) * scale
                 self.store.put(g, self.store.before + t + 1, group.moment)
                 made.ended[g, t] = group.left <= 0
@@ -131,7 +145,7 @@ class Rollout:
             made.hold[index] = hold
         chosen = mean + std * torch.randn(mean.shape, generator=self.generator, device=device)
         made.action[index], made.log_prob[index] = chosen, log_prob(chosen, mean, std)
-        made.value[index] = policy.critic(x)
+        made.value[index] = self._value(store.rows_of(*agents), x)
         command = torch.zeros_like(made.action[:, 0])
         command[g, world, shepherd] = rotate_by_ray(chosen, first, policy.config.lidar.n_rays)
         return command
@@ -144,6 +158,7 @@ class Rollout:
         made.next_value[ended, t] = self._values(row, ended.to(self.device))[ended]
         for g in ended.tolist():
             self.groups[g].begin(self.steps)
+            self.labels.begin(g, self.groups[g].moment)
             self.store.put(g, row, self.groups[g].moment, starts=True)
 
     def _values(self, row: int, groups: Tensor) -> Tensor:
@@ -152,10 +167,16 @@ class Rollout:
         agents = store.present(row, groups)
         g, _, world, shepherd = agents
         values = torch.zeros(store.mask[:, 0].shape, device=self.device)
-        values[g, world, shepherd] = self.policy.critic(
-            store.inputs(store.rows_of(*agents), store.first[agents])
-        )
+        rows = store.rows_of(*agents)
+        x = None if self.critic else store.inputs(rows, store.first[agents])
+        values[g, world, shepherd] = self._value(rows, x)
         return values
+
+    def _value(self, rows: Tensor, x: Tensor | None) -> Tensor:
+        """Return the values (n,) of decisions with frames in rows (n, K), which show x."""
+        if self.critic is None:
+            return self.policy.critic(x)
+        return self.critic(self.store.features_at(rows))
 
     def _batch(self, made: Decisions, gamma: float, gae_lambda: float) -> Batch:
         """Return the decisions of the present shepherds, with their advantages."""
@@ -178,6 +199,7 @@ class Rollout:
             store.rows_of(*agents), store.first[agents],
             made.action[index], made.log_prob[index], made.value[index], advantage[index],
             None if made.hold is None else made.hold[index],
+            *self.labels.of(index, store.first[agents]),
         )  # fmt: skip
 
     def _terms(self, repeat: int) -> dict[str, float]:
@@ -198,6 +220,7 @@ class Rollout:
         return {
             'groups': [group.state_dict() for group in self.groups],
             'generator': self.generator.get_state(),
+            'labels': self.labels.state_dict(),
             **self.store.state_dict(),
         }
 
@@ -206,4 +229,5 @@ class Rollout:
         for group, state in zip(self.groups, state_dict['groups'], strict=True):
             group.load_state_dict(state)
         self.generator.set_state(state_dict['generator'].to(CPU))
+        self.labels.load_state_dict(state_dict['labels'], [g.moment for g in self.groups])
         self.store.load_state_dict(state_dict)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from shepherd_ros.learning.state_critic import FEATURES, state_features
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.rollout import Moment
 import torch
@@ -18,7 +19,7 @@ class Store:
     are read, and do not reach over the start of an episode.
     """
 
-    STATE = ('store', 'first', 'begun', 'mask')
+    STATE = ('store', 'first', 'begun', 'mask', 'features')
 
     def __init__(
         self,
@@ -28,8 +29,13 @@ class Store:
         team: int,
         decisions: int,
         dtype: torch.dtype,
+        features: bool = False,
     ) -> None:
-        """Create an empty store for a number of decisions, on the device of the policy."""
+        """
+        Create an empty store for a number of decisions, on the device of the policy.
+
+        features: with those of a critic on the true state.
+        """
         self.policy, self.decisions, device = policy, decisions, policy.device
         self.before = policy.config.frames.window - 1  # rows kept from earlier decisions
         shape = (groups, self.before + decisions + 1, worlds, team)
@@ -39,6 +45,8 @@ class Store:
         # row in which the episode began
         self.begun = torch.zeros(shape[:2], dtype=torch.int64, device=device)
         self.mask = torch.zeros(shape, dtype=torch.bool, device=device)
+        width = len(FEATURES) if features else 0
+        self.features = torch.zeros(*shape, width, device=device)
 
     def put(self, group: int, row: int, moment: Moment, starts: bool = False) -> None:
         """Store the observations of a group in a row; starts: its episode begins there."""
@@ -46,6 +54,8 @@ class Store:
         self.first[group, row] = self.policy.first_ray(moment.ranges)
         self.begun[group, row] = row if starts else self.begun[group, row - 1]
         self.mask[group, row] = moment.state.shepherd_mask
+        if self.features.shape[-1]:
+            self.features[group, row] = state_features(moment)
 
     def present(self, row: int, groups: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return four indices (n,) of the present shepherds of some groups in a row."""
@@ -68,9 +78,13 @@ class Store:
         """Return the network's input (n, D, L) for rows (n, K) of the flat store."""
         return self.policy.arrange(self.frames(rows), first)
 
+    def features_at(self, rows: Tensor) -> Tensor:
+        """Return the features (n, F) of decisions with their frames in rows (n, K)."""
+        return self.features.flatten(0, 3)[rows[:, -1]]
+
     def roll(self) -> None:
         """Make room for the next decisions; rows of the last ones are invalid afterwards."""
-        for tensor in (self.store, self.first, self.mask):
+        for tensor in (self.store, self.first, self.mask, self.features):
             tensor[:, : self.before + 1] = tensor[:, self.decisions :].clone()
         begun = self.begun[:, self.decisions :] - self.decisions
         self.begun[:, : self.before + 1] = begun.clamp(min=0)

@@ -72,6 +72,11 @@ class TaskConfig(Extended):
     effort: float = option(
         0.0, 'reward that a meter of its way costs a shepherd (choice: the paper has none)', low=0
     )
+    effort_from: str = option(
+        'start',
+        'where a way has that cost: start: always; home: with the middle of the flock in the goal',
+        choices=('start', 'home'),
+    )
     reward: RewardConfig = part(RewardConfig)
     episode_steps: int = option(400, 'steps after which a training episode is cut', low=1)
 

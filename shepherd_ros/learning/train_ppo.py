@@ -37,6 +37,7 @@ class PPORunConfig(Config):
     worlds: int = option(36, 'worlds of a group', low=1)
     decisions: int = option(24, 'decisions of each shepherd between updates', low=1)
     critic_warmup: int = option(0, 'updates in which only the critic learns', low=0)
+    new_critic: bool = option(False, 'start with a new critic, whatever --pretrained has')
     eval_freq: int = option(10, 'updates from one evaluation to the next', low=1)
     evaluation: EvaluationConfig = part(EvaluationConfig)
     task: TaskConfig = part(TaskConfig)
@@ -70,6 +71,8 @@ class PPOTrainer:
             config.decisions,
             int(mixed_seeds(1, config.seed, stage)),
             self.dtype,
+            critic=self.learner.state_critic(),
+            teacher=config.ppo.teacher,
         )
 
     def share(self) -> float:
