@@ -34,8 +34,8 @@ import torch
 from torch import Tensor
 
 SEEN = ObservationConfig(align='goal', unit=10.0)
-FROM_SCRATCH = PolicyConfig(action_repeat=8, observation=replace(SEEN, spacing=8))
-IMITATION = PolicyConfig(observation=replace(SEEN, spacing=4))
+FROM_SCRATCH = PolicyConfig(decision_interval=4.0, observation=replace(SEEN, frame_interval=4.0))
+IMITATION = PolicyConfig(observation=replace(SEEN, frame_interval=2.0))
 RING = replace(
     FROM_SCRATCH,
     observation=replace(FROM_SCRATCH.observation, layout='ring'),
@@ -93,10 +93,12 @@ def forms(rounds: int, size: int) -> list[dict[str, Any]]:
 # ---- PPO ----
 
 
-def ppo(rounds: int, decisions: int, repeat: int) -> tuple[list[dict[str, Any]], dict[str, float]]:
+def ppo(
+    rounds: int, decisions: int, interval: float
+) -> tuple[list[dict[str, Any]], dict[str, float]]:
     """Return rates of rollout and update beside the bare network, and shares of the rollout."""
     dtype = fast_dtype()
-    policy = Policy(replace(FROM_SCRATCH, action_repeat=repeat))
+    policy = Policy(replace(FROM_SCRATCH, decision_interval=interval))
     rollout = small_rollout(policy, decisions, dtype)
     config = PPOConfig(target_kl=1e9)  # or the actor might rest
     learner, draw = PPOLearner(policy, config), torch.Generator().manual_seed(0)
@@ -192,7 +194,9 @@ def main() -> None:
     parser.add_argument('--rounds', type=int, default=5, help='of which a median is taken')
     parser.add_argument('--size', type=int, default=1024, help='samples of a batch in forms')
     parser.add_argument('--decisions', type=int, default=8, help='of each shepherd in a rollout')
-    parser.add_argument('--repeat', type=int, default=8, help='steps that an action is held')
+    parser.add_argument(
+        '--decision-interval', type=float, default=4.0, help='seconds that an action is held'
+    )
     parser.add_argument('--parts', nargs='+', default=['forms', 'ppo', 'dagger'])
     parser.add_argument('--json', default='')
     options = parser.parse_args()
@@ -209,7 +213,7 @@ def main() -> None:
             table(f'Actor, batches of {options.size}, {title}', result['forms'])
         if 'ppo' in options.parts:
             result['ppo'], result['shares'] = ppo(
-                options.rounds, options.decisions, options.repeat
+                options.rounds, options.decisions, options.decision_interval
             )
             table(f'PPO, actor and critic, {title}', result['ppo'])
             table('Shares of the CPU time of a rollout', [{'': '', **result['shares']}])

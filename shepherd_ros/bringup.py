@@ -165,12 +165,10 @@ def stack_in(
 
 
 def _require_fit(checkpoint: str, setting: Setting) -> None:
-    """Raise ConfigError unless a policy knows the time step and the rays of a setting."""
-    from shepherd_ros.controllers.policy_controller import require_same_world
+    """Raise ConfigError unless a policy knows the rays of a setting."""
     from shepherd_ros.experiments.methods import loaded
 
     config, policy = env_config(setting), loaded(checkpoint)
-    require_same_world(policy, config.world)
     rays = policy.config.lidar.n_rays
     if config.lidar.n_rays != rays:
         raise ConfigError(f'rays is {config.lidar.n_rays}: expected {rays}, as in training')

@@ -36,7 +36,7 @@ class Episodes(Config):
 _OF_SETTING = {
     f.metadata.get('path', '').rpartition('.')[2] or f.name: f
     for f in fields(Setting)
-    if f.name not in ('any_dt', 'set')
+    if f.name != 'set'
 }
 # name -> default and description; empty means that the node's own default holds
 LAUNCH_ARGUMENTS: dict[str, tuple[str, str]] = {

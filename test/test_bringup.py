@@ -218,7 +218,6 @@ def test_a_bad_launch_argument_is_named(given: dict[str, str], message: str) -> 
         ({'controller': 'nonsense'}, "controller is 'nonsense': expected one of"),
         ({'controller': 'pierson:general'}, 'expected a checkpoint only after policy:'),
         ({'controller': 'policy', 'checkpoint': 'nowhere'}, "checkpoint is 'nowhere': expected a"),
-        ({'controller': 'policy', 'preset': 'fine_dt'}, 'dt is 0.1 s: expected 0.5 s'),
     ],
 )
 def test_a_controller_that_cannot_herd_there_is_named_before_any_process_starts(
@@ -324,7 +323,6 @@ def test_a_bad_argument_of_the_replay_is_named(given: dict[str, str], message: s
     [
         (['demo', '--controller', 'piersen'], "did you mean 'pierson'"),
         (['demo', '--flock', 'boids'], "flock is 'boids': expected one of"),
-        (['demo', '--preset', 'fine_dt'], 'dt is 0.1 s: expected 0.5 s'),
         (['demo', '--sheep', '0'], 'n_sheep is 0: expected a value in'),
         (['demo', '--set', 'reward.shaping=1'], 'reward.shaping is 1.0: expected its default'),
         (['demo', '--rays', '64'], 'rays is 64: expected 512, as in training'),

@@ -17,7 +17,7 @@ def near_goal(sheep: int, shepherds: int, rays: int, steps: int) -> EnvConfig:
     """Return an easy setting: the flock starts near the goal."""
     near = SpawnConfig(flock_distance_min=6.0, flock_distance_max=12.0)
     world = WorldConfig(sheep, shepherds, episode_steps=steps, goal_radius=5.0, spawn=near)
-    observation = ObservationConfig(layout='ring', align='goal', unit=10.0, spacing=4)
+    observation = ObservationConfig(layout='ring', align='goal', unit=10.0, frame_interval=2.0)
     return EnvConfig(world=world, lidar=LidarConfig(rays), observation=observation)
 
 

@@ -30,8 +30,8 @@ class _Common:
     """Sources of mux whose steps are examples, such as keys or keys,joy; empty: all."""
     n_frames: int = 3
     """Frames that are seen together, for counting examples."""
-    spacing: int = 4
-    """Steps from one frame to the next, for counting examples."""
+    frame_interval: float = 2.0
+    """Seconds from one frame to the next, for counting examples."""
     json: bool = False
     """Print JSON."""
 
@@ -41,7 +41,7 @@ class _Common:
 
         if not self.places:
             raise UserError('no bags are given: expected bags or folders of bags, as arguments')
-        return ObservationConfig(n_frames=self.n_frames, spacing=self.spacing)
+        return ObservationConfig(n_frames=self.n_frames, frame_interval=self.frame_interval)
 
 
 @dataclass

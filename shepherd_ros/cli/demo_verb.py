@@ -64,6 +64,8 @@ class Demo(OneSetting):
             f'{setting.sheep} sheep, {setting.shepherds} shepherds, {self.controller} on a '
             f'{setting.flock} flock, seed {self.seed}; ROS_DOMAIN_ID={os.environ["ROS_DOMAIN_ID"]}'
         )
+        for note in self._notes(setting):
+            console.print(note, highlight=False)
         # rclpy reads the environment when it is imported
         from shepherd_ros.nodes.episode_probe import open_episode_probe
 
@@ -82,6 +84,15 @@ class Demo(OneSetting):
         if self.animation not in ('gif', 'mp4', 'none'):
             raise UserError(f'--animation is {self.animation!r}: expected gif, mp4 or none')
         return canonical_setting(self.setting)
+
+    def _notes(self, setting: Setting) -> list[str]:
+        """Return what policies do whose times the world's time step cannot keep."""
+        from shepherd_ros.experiments.methods import full_name, timing_note
+        from shepherd_ros.experiments.setting import env_config
+
+        dt = env_config(setting).world.dt
+        notes = (timing_note(full_name(name), dt) for name in (self.controller, *self.standby))
+        return [note for note in notes if note]
 
     def _herd(
         self,

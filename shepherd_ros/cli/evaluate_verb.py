@@ -136,6 +136,7 @@ class Evaluate(ManySettings):
         spent, total = 0.0, sum(task.cell.cost() for task in missing)
         with progress('cells', total, quiet=rank() > 0) as show:
             _tell(own_tasks, missing, code, codes_of(finished, rows), self.workers)
+            _tell_timings(own_tasks)
 
             def done(cell: Cell) -> None:
                 nonlocal ended, spent
@@ -147,12 +148,9 @@ class Evaluate(ManySettings):
     def changed(self, experiment: Experiment) -> Experiment:
         """Return an experiment with the changes that were asked for."""
         from shepherd_ros.experiments.catalog import QUICK_EPISODES
-        from shepherd_ros.paper.primary import has_primary
 
         experiment = experiment.with_preset(self.preset).with_changes(self.worlds.set)
         settings = experiment.quick if self.quick else experiment.settings
-        if self.primary and not has_primary(self.preset):
-            settings = _with_values(settings, 'any_dt', (True,))
         for f in fields(self.worlds):
             if f.name != 'set':
                 settings = _with_values(settings, f.name, getattr(self.worlds, f.name))
@@ -211,6 +209,16 @@ def _tell(
             f'done by other code: {", ".join(others)}; this is {code or "unknown"}, give another '
             '--out to measure with it'
         )
+
+
+def _tell_timings(tasks: list[Task]) -> None:
+    """Print each policy whose times a world's time step cannot keep, and what it does."""
+    from shepherd_ros.experiments.methods import timing_note
+    from shepherd_ros.experiments.setting import env_config
+
+    pairs = {(t.cell.controller, env_config(t.cell.setting).world.dt): None for t in tasks}
+    for note in filter(None, (timing_note(name, dt) for name, dt in pairs)):
+        print(note)
 
 
 def _with_values(

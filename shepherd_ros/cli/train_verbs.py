@@ -17,6 +17,7 @@ from shepherd_ros.cli.progress import progress
 from shepherd_ros.cli.train_help import BAGS, COMMON, print_help
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.config import Config
+from shepherd_ros.learning.annealing import stages
 from shepherd_ros.learning.dagger import train_dagger
 from shepherd_ros.learning.dagger_config import DaggerConfig
 from shepherd_ros.learning.distributed import device_index, rank, ranks
@@ -39,18 +40,18 @@ import tyro
 LEARNS_WELL = ObservationConfig(align='goal', unit=10.0)
 RING = replace(LEARNS_WELL, layout='ring')
 FROM_SCRATCH = PolicyConfig(
-    action_repeat=8,
-    observation=replace(LEARNS_WELL, spacing=8),
+    decision_interval=4.0,
+    observation=replace(LEARNS_WELL, frame_interval=4.0),
     network=NetworkConfig(min_std=0.2),
 )
 SMALL_RING = PolicyConfig(
-    action_repeat=8,
-    observation=replace(RING, spacing=8),
+    decision_interval=4.0,
+    observation=replace(RING, frame_interval=4.0),
     network=NetworkConfig(filters_1=16, filters_2=32, hidden=128, padding='circular', min_std=0.2),
 )
-IMITATION = PolicyConfig(observation=replace(LEARNS_WELL, spacing=4))
+IMITATION = PolicyConfig(observation=replace(LEARNS_WELL, frame_interval=2.0))
 IMITATION_RING = PolicyConfig(
-    observation=replace(RING, spacing=4), network=NetworkConfig(padding='circular')
+    observation=replace(RING, frame_interval=2.0), network=NetworkConfig(padding='circular')
 )
 
 
@@ -170,6 +171,9 @@ def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
     config = configured(kind, arguments.run_)
     torch.manual_seed(arguments.run_.seed)
     policy = _policy(arguments).to(arguments.device)
+    held = stages(policy.config, config.anneal) if kind is PPORunConfig else [policy.config]
+    for deviation in {stage.timing(config.task.dt).deviation: None for stage in held}:
+        print(f'the policy {deviation}' if deviation else '', end='\n' * bool(deviation))
     record = {
         'command': arguments.command,
         'code': commit(),

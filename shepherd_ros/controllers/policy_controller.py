@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from shepherd_ros.config import Config, ConfigError, option
+from shepherd_ros.config import Config, option
 from shepherd_ros.controllers.controller import Controller, CONTROLLERS, Memory
 from shepherd_ros.policy import inference
 from shepherd_ros.policy.policy import Policy
@@ -41,7 +41,7 @@ class LearnedController(Controller):
         policy: Policy | None = None,
         dtype: torch.dtype = torch.float32,
     ) -> None:
-        """Load the checkpoint unless a policy is given; check that it fits the world."""
+        """Load the checkpoint unless a policy is given."""
         super().__init__(config, world)
         if policy is None:
             from shepherd_ros.policy.checkpoint import (
@@ -51,7 +51,7 @@ class LearnedController(Controller):
             policy = load_policy(config.checkpoint)
         self.policy = policy
         self.dtype = dtype
-        require_same_world(self.policy, world)
+        self.timing = self.policy.config.timing(world.dt)
 
     @classmethod
     def options_of(cls, text: str) -> dict[str, Any]:
@@ -61,7 +61,7 @@ class LearnedController(Controller):
     def begin(self, state: WorldState) -> Memory:
         """Return the memory of a team before its first scan."""
         team = state.shepherds.shape[-2]
-        return inference.begin(self.policy, state.step.shape, team, self.dtype)
+        return inference.begin(self.policy, self.timing, state.step.shape, team, self.dtype)
 
     def read_ranges(self, state: WorldState) -> Tensor:
         """Return the ranges of the shepherds' lidars, (..., H, C, R) m."""
@@ -75,6 +75,7 @@ class LearnedController(Controller):
 
         return inference.act(
             self.policy,
+            self.timing,
             lambda: self.read_ranges(state),
             state.shepherd_mask,
             memory,
@@ -87,12 +88,3 @@ def sample_noise(seed: Tensor, step: Tensor, team: int) -> Tensor:
     """Return the standard normal numbers (..., H, 2) of sampled actions of a team."""
     index = torch.arange(2 * team, device=step.device)
     return normal(seed, step, Stream.ACTION, index).unflatten(-1, (-1, 2))
-
-
-def require_same_world(policy: Policy, world: WorldConfig) -> None:
-    """Raise ConfigError unless the world has the time step that a policy was trained with."""
-    if world.dt != policy.config.dt:
-        raise ConfigError(
-            f'dt is {world.dt} s: expected {policy.config.dt} s, with which the policy was '
-            'trained; choose another preset, or a checkpoint that was trained with yours'
-        )

@@ -143,7 +143,7 @@ def examples_of(
     """
     team = steps.n_shepherds
     step = torch.from_numpy(steps.step)
-    frame = observation.frames.rows(step, torch.zeros_like(step)).numpy()
+    frame = observation.frames(steps.dt).rows(step, torch.zeros_like(step)).numpy()
     key = steps.step * team + steps.shepherd  # in order
     frame_keys = frame * team + steps.shepherd[:, None]
     rows = np.minimum(np.searchsorted(key, frame_keys), max(len(key) - 1, 0))

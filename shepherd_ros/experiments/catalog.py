@@ -87,11 +87,9 @@ _PRESETS = (
     'table_literal', 'metric_attraction',
 )  # fmt: skip
 _TRANSFER = (
-    *setting_grid(Setting(any_dt=True), preset=_PRESETS),
+    *setting_grid(preset=_PRESETS),
     # the presets differ for this flock in their time step only
-    *setting_grid(
-        Setting(any_dt=True, flock='reynolds'), preset=('default', 'one_second', 'fine_dt')
-    ),
+    *setting_grid(Setting(flock='reynolds'), preset=('default', 'one_second', 'fine_dt')),
 )
 _LIDAR = (
     Setting(),

@@ -136,14 +136,22 @@ class FaultyLidarController(LearnedController):
         )
 
 
+def timing_note(name: str, dt: float) -> str:
+    """Return which times a policy uses where a time step [s] cannot keep its own; else empty."""
+    checkpoint = checkpoint_of(name)
+    if not checkpoint:
+        parts = (timing_note(full_name(part), dt) for part in _parts(*split_name(name)))
+        return '; '.join(filter(None, parts))
+    deviation = loaded(checkpoint).config.timing(dt).deviation
+    return f'{name} {deviation}' if deviation else ''
+
+
 def make_method(name: str, setting: Setting) -> Controller:
     """Return the controller of a full name in a setting, or raise ConfigError."""
-    return method_in(env_config(setting), name, setting.any_dt, setting.preset)
+    return method_in(env_config(setting), name, setting.preset)
 
 
-def method_in(
-    config: EnvConfig, name: str, any_dt: bool = False, preset: str = 'default'
-) -> Controller:
+def method_in(config: EnvConfig, name: str, preset: str = 'default') -> Controller:
     """Return the controller of a full name in an environment, or raise ConfigError."""
     checkpoint = checkpoint_of(name)
     if not checkpoint:
@@ -153,11 +161,9 @@ def method_in(
             return make_controller(kind, config.world, **options)
         chosen = CompositeConfig(**options)
         parts = (full_name(getattr(chosen, part)) for part in PARTS)
-        made = (method_in(config, part, any_dt, preset) for part in parts)
+        made = (method_in(config, part, preset) for part in parts)
         return CompositeController(chosen, config.world, *made)
     policy = loaded(checkpoint)
-    if any_dt:
-        policy = policy.with_config(replace(policy.config, dt=config.world.dt))
     learned = LearnedConfig(checkpoint=checkpoint)
     faults, rays = config.lidar.changes(), config.lidar.n_rays
     if not faults:

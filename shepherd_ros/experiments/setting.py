@@ -45,15 +45,13 @@ class Setting(Config):
     cross_occlusion: bool = named(
         'lidar.cross_occlusion', False, 'sheep and shepherds hide what is behind'
     )
-    any_dt: bool = option(False, 'a policy flies at another time step than it was trained for')
     steps: int = named('world.episode_steps', 1000, 'steps of an episode')
     set: tuple[str, ...] = option(
         (), 'PATH=VALUE: any option of the environment, such as world.spawn.flock_groups=2'
     )
 
 
-# any_dt is a leave and no property of the episodes; set is open
-SETTING_FIELDS = tuple(f.name for f in fields(Setting) if f.name not in ('any_dt', 'set'))
+SETTING_FIELDS = tuple(f.name for f in fields(Setting) if f.name != 'set')
 _TEXTS = {
     'sheep': '{} sheep',
     'shepherds': 'team of {}',

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from shepherd_ros.experiments.bootstrap import Array
 from shepherd_ros.policy.policy import Policy
+from shepherd_ros.sim.frames import Frames
 from shepherd_ros.sim.lidar import scan
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
@@ -93,7 +94,7 @@ def value_map(policy: Policy, seed: int = 0) -> ValueMap:
 
     All frames show the same moment, that of the start.
     """
-    world = WorldConfig(n_sheep=N_SHEEP, n_shepherds=3, dt=policy.config.dt)
+    world = WorldConfig(n_sheep=N_SHEEP, n_shepherds=3)
     start = spawn(world, torch.tensor([seed]))
     grid = torch.linspace(-HALF_SIDE, HALF_SIDE, GRID_POINTS)
     values = place_values(policy, start, 2, grid, grid)
@@ -136,7 +137,6 @@ def _values(policy: Policy, state: WorldState, shepherd: int, places: Tensor) ->
     shepherds[:, shepherd] = places
     which = torch.tensor([shepherd])
     ranges = scan(replace(copies, shepherds=shepherds), policy.config.lidar, which)[:, 0]
-    stack = policy.config.observation.frames
-    frames = stack.select(stack.begin(ranges))
+    frames = Frames(policy.config.observation.n_frames, 1).begin(ranges)
     first = policy.first_ray(frames[:, -1])
     return torch.as_tensor(policy.critic(policy.arrange(policy.scale(frames), first)))

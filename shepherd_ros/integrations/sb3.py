@@ -1,7 +1,7 @@
 """
 Our worlds for Stable-Baselines3: each shepherd is an environment, so that all share a policy.
 
-An action is held for some steps, which are one step of the learner; its direction stays relative
+An action is held for some time, which is one step of the learner; its direction stays relative
 to the ray in front. `scripts/train_sb3.py` uses all of this.
 """
 
@@ -14,6 +14,7 @@ from gymnasium import spaces, Wrapper
 import numpy as np
 from shepherd_ros.config import ConfigError
 from shepherd_ros.integrations.environments import HerdingVectorEnv
+from shepherd_ros.sim.frames import nearest_steps
 from shepherd_ros.sim.metrics import shown
 from shepherd_ros.sim.rollout import EnvConfig
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -26,15 +27,25 @@ from torch import nn, Tensor
 Infos = list[dict[str, Any]]
 
 
+def hold_steps(config: EnvConfig, decision_interval: float) -> int:
+    """Return the steps of a time [s] from one decision to the next, or raise ConfigError."""
+    steps, dt = config.world.episode_steps, config.world.dt
+    hold = nearest_steps(decision_interval, dt)
+    if steps % hold:
+        raise ConfigError(
+            f'decision_interval is {decision_interval} s, {hold} steps of {dt} s: expected a '
+            f'divisor of episode_steps, {steps}'
+        )
+    return hold
+
+
 class HerdingVecEnv(VecEnv):
     """The worlds of environments.HerdingVectorEnv in the terms of Stable-Baselines3."""
 
-    def __init__(self, config: EnvConfig, n_worlds: int, hold: int = 1) -> None:
-        """Make the worlds; an action is held for `hold` steps of an episode."""
-        steps = config.world.episode_steps
-        if hold < 1 or steps % hold:
-            raise ConfigError(f'hold is {hold}: expected a divisor of episode_steps, {steps}')
-        self.env, self.hold = HerdingVectorEnv(config, n_worlds), hold
+    def __init__(self, config: EnvConfig, n_worlds: int, decision_interval: float = 0.0) -> None:
+        """Make the worlds; an action is held for the nearest number of steps, at least one."""
+        self.hold = hold_steps(config, decision_interval)
+        self.env = HerdingVectorEnv(config, n_worlds)
         self.actions = np.zeros((self.env.num_envs, 2), np.float32)
         obs, done = self.env.single_observation_space, self.env.single_action_space
         super().__init__(self.env.num_envs, obs, done)
@@ -114,14 +125,14 @@ class LidarFeatures(BaseFeaturesExtractor):
 
 
 def evaluate(
-    model: BaseAlgorithm, config: EnvConfig, n_worlds: int, hold: int, seed: int
+    model: BaseAlgorithm, config: EnvConfig, n_worlds: int, decision_interval: float, seed: int
 ) -> dict[str, float]:
     """Return the mean return and metrics of one episode in each world, by the mean action."""
-    env = HerdingVecEnv(config, n_worlds, hold)
+    env = HerdingVecEnv(config, n_worlds, decision_interval)
     env.seed(seed)
     obs: Any = env.reset()
     total, infos = np.zeros(env.num_envs), cast(Infos, [])
-    for _ in range(config.world.episode_steps // hold):
+    for _ in range(config.world.episode_steps // env.hold):
         action, _ = model.predict(obs, deterministic=True)
         obs, reward, _, infos = env.step(action)
         total += reward

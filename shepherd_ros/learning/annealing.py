@@ -1,13 +1,15 @@
-"""Annealing of action_repeat in training: long holds explore at first, single steps come last."""
+"""Annealing of decision_interval in training: long holds explore at first, short ones act last."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+import math
 
 from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.policy.policy import PolicyConfig
+from shepherd_ros.policy.timing import Timing
 
-GAMMA_TIME = 4.0  # [s] of which gamma is the discount: a decision of eight steps of 0.5 s
+GAMMA_TIME = 4.0  # [s] of which gamma is the discount: the first decisions of our trainings
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,9 @@ class AnnealConfig(Config):
     anneal_start: float = option(
         0.6, 'share of the samples before actions are held for shorter', low=0.0, high=1.0
     )
-    final_action_repeat: int = option(1, 'steps that an action is held in the end', low=1)
+    final_decision_interval: float = option(
+        0.5, 'seconds that an action is held in the end', low=0.001
+    )
     final_min_std: float = option(
         0.1, 'smallest standard deviation of an action in the last stage [m/s]', low=0.001
     )
@@ -30,22 +34,21 @@ class AnnealConfig(Config):
 
 def stages(first: PolicyConfig, config: AnnealConfig) -> list[PolicyConfig]:
     """Return the policy's configuration by stage; ConfigError if halving misses the end."""
-    paces = [first.action_repeat]
-    while paces[-1] >= 2 * config.final_action_repeat and paces[-1] % 2 == 0:
-        paces.append(paces[-1] // 2)
-    if paces[-1] > config.final_action_repeat:
+    held, final = first.decision_interval, config.final_decision_interval
+    halvings = max(round(math.log2(held / final)), 0)
+    intervals = [held / 2**k for k in range(halvings + 1)]
+    if final < held and not math.isclose(intervals[-1], final):
         raise ConfigError(
-            f'final_action_repeat is {config.final_action_repeat}: expected a number '
-            f'that halving action_repeat, {first.action_repeat}, comes to, such as {paces[-1]}'
+            f'final_decision_interval is {final} s: expected a time that halving '
+            f'decision_interval, {held} s, comes to, such as {intervals[-1]:g}'
         )
     low = first.network.min_std
     result = [first]
-    for i, pace in enumerate(paces[1:], start=1):
-        share = i / (len(paces) - 1)
+    for i, interval in enumerate(intervals[1:], start=1):
+        share = i / halvings
         floor = min(low, low * (config.final_min_std / low) ** share)
-        result.append(
-            replace(first, action_repeat=pace, network=replace(first.network, min_std=floor))
-        )
+        network = replace(first.network, min_std=floor)
+        result.append(replace(first, decision_interval=interval, network=network))
     return result
 
 
@@ -57,6 +60,6 @@ def stage_at(share: float, count: int, config: AnnealConfig) -> int:
     return min(1 + int(rest * (count - 1)), count - 1)
 
 
-def discount(gamma: float, policy: PolicyConfig) -> float:
+def discount(gamma: float, timing: Timing) -> float:
     """Return the discount per decision of a policy, where gamma is that per GAMMA_TIME."""
-    return gamma ** (policy.action_repeat * policy.dt / GAMMA_TIME)
+    return gamma ** (timing.decision_interval / GAMMA_TIME)

@@ -12,7 +12,6 @@ from typing import Any
 
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers.composite import HOME, WORD
-from shepherd_ros.controllers.policy_controller import require_same_world
 from shepherd_ros.learning.clone import CloneLearner, Examples
 from shepherd_ros.learning.dagger_bags import DaggerBags
 from shepherd_ros.learning.dagger_config import DaggerConfig
@@ -48,7 +47,7 @@ class LabelledWorlds:
         again: they are those of a resumed run, whose bags are written once more.
         """
         self.config, self.policy, self.dtype = config, policy, dtype
-        lidar = policy.config.lidar
+        self.timing, lidar = policy.config.timing(config.task.dt), policy.config.lidar
         self.group = WorldGroup(
             config.task, index, config.worlds, config.seed, lidar, count=bool(config.bag_folder)
         )
@@ -66,7 +65,6 @@ class LabelledWorlds:
         """Create the teachers of the group's world, with new memories."""
         moment = self.group.moment
         state, world = moment.state, moment.config.world
-        require_same_world(self.policy, world)
         name = self.config.teacher_of(model_of(world.flock).name)
         self.teacher = make_teacher(name, world)
         self.taught = self.teacher.begin(state)
@@ -76,12 +74,13 @@ class LabelledWorlds:
                 'learns which of them it is; or leave modes at 1'
             )
         worlds, team = state.shepherd_mask.shape
-        self.learned = inference.begin(self.policy, (worlds,), team, self.dtype)
+        self.learned = inference.begin(self.policy, self.timing, (worlds,), team, self.dtype)
 
     def _command(self, moment: Moment) -> Tensor:
         """Return the learner's commands, (B, H, 2) m/s."""
         command, self.learned = inference.act(
             self.policy,
+            self.timing,
             lambda: moment.ranges,
             moment.state.shepherd_mask,
             self.learned,
@@ -94,7 +93,7 @@ class LabelledWorlds:
         example_due = False
         for t in range(steps):
             moment = self.group.moment
-            decides = bool((self.learned['count'] % self.policy.config.action_repeat == 0).all())
+            decides = bool((self.learned['count'] % self.timing.action_repeat == 0).all())
             label, self.taught = self.teacher.act(moment.state, self.taught)
             command = self._command(moment)
             example_due |= t % self.config.example_interval == 0
@@ -111,7 +110,7 @@ class LabelledWorlds:
     def _add(self, examples: Examples, state: WorldState, label: Tensor) -> None:
         """Add the examples of a step, in which the learner has decided."""
         present = state.shepherd_mask
-        frames = self.policy.config.frames.select(self.learned['history'][present])
+        frames = self.timing.frames.select(self.learned['history'][present])
         first = self.learned['first'][present]
         target = rotate_by_ray(label[present], -first, frames.shape[-1])
         home = self.taught.get(HOME, torch.zeros_like(state.step, dtype=torch.bool))

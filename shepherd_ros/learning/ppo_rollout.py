@@ -79,7 +79,8 @@ class Rollout:
         are on the device of the policy.
         """
         self.policy, self.decisions, self.reward = policy, decisions, reward
-        self.device, repeat = policy.device, policy.config.action_repeat
+        self.timing = policy.config.timing(task.dt)
+        self.device, repeat = policy.device, self.timing.action_repeat
         self.two_modes = policy.config.network.modes == 2
         # each process draws and starts for itself
         mixed = int(mixed_seeds(1, seed, rank()))
@@ -87,7 +88,14 @@ class Rollout:
         self.steps = task.episode_steps // repeat * repeat
         self.critic = critic
         self.store = Store(
-            policy, groups, worlds, task.shepherds_max, decisions, dtype, critic is not None
+            policy,
+            self.timing.frames,
+            groups,
+            worlds,
+            task.shepherds_max,
+            decisions,
+            dtype,
+            critic is not None,
         )
         lidar, own_groups = policy.config.lidar, range(rank() * groups, (rank() + 1) * groups)
         self.groups = [
@@ -110,7 +118,7 @@ class Rollout:
 
         scale multiplies the reward, so that values are of order one.
         """
-        repeat = self.policy.config.action_repeat
+        repeat = self.timing.action_repeat
         shape = (len(self.groups), self.decisions, *self.store.mask.shape[2:])
         action = torch.zeros(*shape, 2, device=self.device)
         log_probs, value, following, reward = action.new_zeros(4, *shape)

@@ -6,6 +6,7 @@ from typing import Any
 
 from shepherd_ros.learning.state_critic import FEATURES, state_features
 from shepherd_ros.policy.policy import Policy
+from shepherd_ros.sim.frames import Frames
 from shepherd_ros.sim.rollout import Moment
 import torch
 from torch import Tensor
@@ -24,6 +25,7 @@ class Store:
     def __init__(
         self,
         policy: Policy,
+        frames: Frames,
         groups: int,
         worlds: int,
         team: int,
@@ -37,7 +39,8 @@ class Store:
         features: with those of a critic on the true state.
         """
         self.policy, self.decisions, device = policy, decisions, policy.device
-        self.before = policy.config.frames.window - 1  # rows kept from earlier decisions
+        self.stack = frames
+        self.before = frames.window - 1  # rows kept from earlier decisions
         shape = (groups, self.before + decisions + 1, worlds, team)
         scan = policy.config.lidar.layout.shape
         self.store = torch.zeros(*shape, *scan, dtype=dtype, device=device)
@@ -64,7 +67,7 @@ class Store:
 
     def rows_of(self, g: Tensor, row: Tensor, world: Tensor, shepherd: Tensor) -> Tensor:
         """Return the rows (n, K) of the flat store that hold the frames of n decisions."""
-        frame_rows = self.policy.config.frames.rows(row, self.begun[g, row])
+        frame_rows = self.stack.rows(row, self.begun[g, row])
         _, rows, worlds, team = self.mask.shape
         return ((g[:, None] * rows + frame_rows) * worlds + world[:, None]) * team + shepherd[
             :, None

@@ -90,6 +90,11 @@ class TaskConfig(Extended):
         world_preset(self.preset)
 
     @property
+    def dt(self) -> float:
+        """Return the time step of the worlds [s]."""
+        return world_preset(self.preset).dt
+
+    @property
     def flocks(self) -> tuple[str, ...]:
         """Return the flock models that are trained on."""
         return PAPER_FLOCKS if self.flock == 'both' else (self.flock,)

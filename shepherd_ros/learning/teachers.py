@@ -23,7 +23,8 @@ def _never_holding(controller: Controller) -> Controller:
         drive, hold = map(_never_holding, (controller.drive, controller.hold))
         return CompositeController(controller.config, controller.world, drive, hold)
     if isinstance(controller, LearnedController):
-        policy = controller.policy
-        policy = policy.with_config(replace(policy.config, action_repeat=1))
-        return LearnedController(controller.config, controller.world, policy, controller.dtype)
+        settled = controller.config, controller.world, controller.policy, controller.dtype
+        every_step = LearnedController(*settled)
+        every_step.timing = replace(controller.timing, asked_decision=controller.world.dt)
+        return every_step
     return controller

@@ -45,9 +45,7 @@ class BCConfig(Config):
 
 
 def require_fit(steps: Steps, config: PolicyConfig) -> None:
-    """Raise ConfigError if steps were recorded with another time step or lidar."""
-    if steps.dt != config.dt:
-        raise ConfigError(f'{steps.where}: dt is {steps.dt} s, expected {config.dt} s')
+    """Raise ConfigError if steps were recorded with another lidar."""
     if steps.range_max and abs(steps.range_max - config.lidar.range_max) > 1e-3:
         raise ConfigError(
             f'{steps.where}: scans have range_max {steps.range_max} m, expected '

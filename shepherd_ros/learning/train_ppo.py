@@ -85,16 +85,17 @@ class PPOTrainer:
 
     def update(self, stopping: Callable[[], bool]) -> dict[str, float]:
         """Collect a batch and train on it; return logged scalars."""
-        config, repeat = self.config, self.policy.config.action_repeat
+        config = self.config
         fraction = self.share()
         # a run that is given more samples does not go back to stages that it has left
         stage = max(stage_at(fraction, len(self.stages), config.anneal), self.progress['stage'])
         if stage != self.progress['stage']:
             self.enter(stage)
-            repeat = self.policy.config.action_repeat
+        timing = self.rollout.timing
+        repeat = timing.action_repeat
         started = time.monotonic()
         self.learner.scale_learning_rate(1 - fraction)
-        gamma = discount(config.ppo.gamma, self.policy.config)
+        gamma = discount(config.ppo.gamma, timing)
         scale = 100 * (1 - gamma) / repeat
         batch, scalars = self.rollout.collect(gamma, config.ppo.gae_lambda, scale)
         collected = time.monotonic()
@@ -106,7 +107,7 @@ class PPOTrainer:
         steps = config.groups * config.worlds * config.decisions * repeat
         self.progress['world_steps'] += steps * ranks()
         scalars['rollout_share'] = (collected - started) / (time.monotonic() - started)
-        return scalars | {'action_repeat': float(repeat)}
+        return scalars | {'decision_interval': timing.decision_interval}
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of the training."""

@@ -9,11 +9,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
 from shepherd_ros.config import ConfigError
-from shepherd_ros.controllers.policy_controller import (
-    LearnedConfig,
-    require_same_world,
-    sample_noise,
-)
+from shepherd_ros.controllers.policy_controller import LearnedConfig, sample_noise
 from shepherd_ros.nodes.mux_parameters import declare_source
 from shepherd_ros.policy import inference
 from shepherd_ros.policy.checkpoint import load_policy
@@ -64,10 +60,11 @@ class PolicyNode(ShepherdNode):
             low=0.0,
         )
         self.policy = load_policy(self.options.checkpoint)
+        self.timing = self.policy.config.timing(WorldConfig().dt)  # until an episode begins
+        self.deviation = ''  # of the last episode
         self.episode: Episode | None = None
         self.max_speed = 0.0  # [m/s]
         self.present: list[int] = []
-        self.refusal = ''
         self.silent: list[str] = []  # scans that no lidar publishes
         self.memory: PolicyMemory = {}
         self.last_ranges = torch.empty(0)  # last ranges (H, C, R) m of those present
@@ -89,15 +86,14 @@ class PolicyNode(ShepherdNode):
         ranges = torch.full((team, *self.policy.config.lidar.layout.shape), torch.inf)
         ranges[..., ::2] = 5.0
         has_scan = torch.ones(team, dtype=torch.bool)
-        inference.act(
-            self.policy, lambda: ranges, has_scan, inference.begin(self.policy, (), team), 1.0
-        )
+        memory = inference.begin(self.policy, self.timing, (), team)
+        inference.act(self.policy, self.timing, lambda: ranges, has_scan, memory, 1.0)
 
     def _begin(self, content: tuple[Episode, WorldConfig]) -> None:
-        """Start an episode with an empty memory, or refuse it."""
+        """Start an episode with an empty memory."""
         episode, world = content
         self.episode, self.max_speed = episode, world.shepherd_speed
-        self.last, self.refusal = None, ''
+        self.last, self.timing = None, self.policy.config.timing(world.dt)
         team = range(episode.n_shepherds) if self.shepherd_ids == [_ALL] else self.shepherd_ids
         self.present = [h for h in team if h < episode.n_shepherds]
         unknown = sorted(set(team) - set(self.present))
@@ -106,11 +102,9 @@ class PolicyNode(ShepherdNode):
                 f'shepherd_ids has {unknown}: expected 0 to {episode.n_shepherds - 1}, as this '
                 'episode has no others; they get no commands'
             )
-        try:
-            require_same_world(self.policy, world)
-        except ConfigError as error:
-            self.refusal, self.present = str(error), []
-            self.get_logger().error(f'this episode is not driven: {error}')
+        if self.timing.deviation not in ('', self.deviation):
+            self.get_logger().warning(f'{self.options.checkpoint} {self.timing.deviation}')
+        self.deviation = self.timing.deviation
         for h in [h for h in self.outputs if h not in self.present]:
             self.destroy_publisher(self.outputs.pop(h))
         kind = '' if self.stamped else 'geometry_msgs/msg/Twist'
@@ -130,16 +124,21 @@ class PolicyNode(ShepherdNode):
         if episode is None or not episode.has(ns):
             return
         if self.last is None or ns != self.last[0]:
-            if self.last is None or ns < self.last[0]:
-                self.memory = inference.begin(self.policy, (), len(self.present))
+            skipped = 0
+            if self.last is not None and ns > self.last[0]:
+                skipped = episode.step_of(ns) - episode.step_of(self.last[0]) - 1
+            else:
+                self.memory = inference.begin(self.policy, self.timing, (), len(self.present))
                 shape = (len(self.present), *self.policy.config.lidar.layout.shape)
                 self.last_ranges = torch.full(shape, torch.inf)
-            self.last = (ns, self._decide(ns, ranges, episode))
+            self.last = (ns, self._decide(ns, ranges, episode, skipped))
         self._publish(*self.last)
         self.answers += 1
         self.latency.append(perf_counter() - started)
 
-    def _decide(self, ns: int, ranges: dict[int, np.ndarray], episode: Episode) -> Tensor:
+    def _decide(
+        self, ns: int, ranges: dict[int, np.ndarray], episode: Episode, skipped: int
+    ) -> Tensor:
         """Return velocities (H, 2) m/s, zero for shepherds without all of their scans."""
         has_scan = torch.tensor([h in ranges for h in self.present])
         newest = self.last_ranges.clone()  # what was seen before stands in for what is missing
@@ -154,11 +153,13 @@ class PolicyNode(ShepherdNode):
         self.last_ranges = newest
         command, self.memory = inference.act(
             self.policy,
+            self.timing,
             lambda: newest,
             torch.ones_like(has_scan),
             self.memory,
             self.max_speed,
             draws if self.options.sample else None,
+            skipped,
         )
         return torch.where(has_scan[:, None], command, 0.0)
 
@@ -178,7 +179,7 @@ class PolicyNode(ShepherdNode):
                 throttle_duration_sec=SCAN_WARNING_PERIOD,
             )
         episode, last = self.episode, self.last
-        if episode is None or self.refusal:
+        if episode is None:
             return
         self._report_missing()
         if episode.mode == 'lockstep' or last is None or self.stale:
@@ -202,9 +203,7 @@ class PolicyNode(ShepherdNode):
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return the status of the policy: activity, latency and faults of scans."""
         level, message = OK, 'commanding'
-        if self.refusal:
-            level, message = ERROR, f'checkpoint does not fit: {self.refusal}'
-        elif self.silent:
+        if self.silent:
             level, message = ERROR, f'no lidar publishes {", ".join(self.silent)}'
         elif self.stale:
             level, message = WARN, 'scans have stopped: commanding zero'
@@ -223,6 +222,7 @@ class PolicyNode(ShepherdNode):
                 checkpoint=self.options.checkpoint,
                 answers=self.answers,
                 shepherds=self.present,
+                decision_interval=round(self.timing.decision_interval, 6),
                 latency_ms_median=round(1e3 * times[len(times) // 2], 3),
                 latency_ms_p99=round(1e3 * times[int(0.99 * (len(times) - 1))], 3),
                 **{f'scans_{kind}': count for kind, count in self.scans.faults.items()},

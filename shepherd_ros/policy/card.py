@@ -20,7 +20,6 @@ def card(name: str, policy: Policy, record: Mapping[str, Any]) -> str:
     config = policy.config
     obs, network = config.observation, config.network
     actor = sum(p.numel() for p in policy.actor.parameters())
-    repeat = config.action_repeat
     lines = [f'# Checkpoint `{name}`', '', '## How it was made', '']
     commands = printable(record.get('command', 'the checkpoint does not say')).split(' && ')
     lines += ['```bash', *commands, '```', '']
@@ -39,14 +38,14 @@ def card(name: str, policy: Policy, record: Mapping[str, Any]) -> str:
         f'- one lidar of {config.lidar.n_rays} rays, channels '
         f'{", ".join(config.lidar.layout.channels)}, up to '
         f'{config.lidar.range_max:g} m',
-        f'- {obs.n_frames} frames, {obs.spacing} steps of {config.dt:g} s apart; layout '
+        f'- {obs.n_frames} frames, {obs.frame_interval:g} s apart; layout '
         f'{obs.layout}, first ray toward the {obs.align}, ranges in units of '
         f'{obs.unit or config.lidar.range_max:g} m',
         f'- {network.filters_1} and {network.filters_2} filters, {network.hidden} units, '
         f'{network.padding} padding: {actor:,} weights of the actor, as many but a few of the '
         'critic',
         *(['- two modes, drive and hold, and a gate that chooses'] if network.modes == 2 else []),
-        f'- an action is held for {repeat} step{"s" if repeat > 1 else ""}',
+        f'- decides every {config.decision_interval:g} s, and holds its action between',
         '',
     ]
     lines += _evaluation(record.get('eval'))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from shepherd_ros.policy.policy import Policy
+from shepherd_ros.policy.timing import Timing
+from shepherd_ros.sim.frames import Frames
 from shepherd_ros.sim.vectors import clip_norm
 import torch
 from torch import Tensor
@@ -13,11 +15,15 @@ PolicyMemory = dict[str, Tensor]
 
 
 def begin(
-    policy: Policy, batch: tuple[int, ...], team: int, dtype: torch.dtype = torch.float32
+    policy: Policy,
+    timing: Timing,
+    batch: tuple[int, ...],
+    team: int,
+    dtype: torch.dtype = torch.float32,
 ) -> PolicyMemory:
     """Return the memory of teams (*batch, team) before their first scan; dtype as for act()."""
     config, device = policy.config, policy.device
-    shape = (*batch, team, config.frames.window, *config.lidar.layout.shape)
+    shape = (*batch, team, timing.frames.window, *config.lidar.layout.shape)
     return {
         'count': torch.zeros(batch, dtype=torch.int64, device=device),  # steps since then
         'history': torch.zeros(shape, dtype=dtype, device=device),  # scaled, newest last
@@ -29,11 +35,13 @@ def begin(
 
 def act(
     policy: Policy,
+    timing: Timing,
     read_ranges: Callable[[], Tensor],
     present: Tensor,
     memory: PolicyMemory,
     top_speed: float,
     draws: Callable[[], Tensor] | None = None,
+    skipped: int = 0,
 ) -> tuple[Tensor, PolicyMemory]:
     """
     Return commands (..., H, 2) m/s, world frame, at most top_speed [m/s], and memory.
@@ -41,16 +49,17 @@ def act(
     read_ranges() returns the ranges (..., H, C, R) m of this step and is called at decisions only;
     between them commands are held. present (..., H) bool marks the shepherds that act; the others
     keep their command, zero at first. draws() returns standard normal numbers (..., H, 2) for
-    sampled actions; None: the mean.
+    sampled actions; None: the mean. skipped is the number of steps since the last call that were
+    not seen; a decision that was due in them is made now.
     """
-    config, count = policy.config, memory['count']
-    decides = count % config.action_repeat == 0
+    repeat, count = timing.action_repeat, memory['count'] + skipped
+    decides = count // repeat > (memory['count'] - 1) // repeat
     if not decides.any():
         return memory['command'], memory | {'count': count + 1}
     ranges = read_ranges()
-    history, first = _updated_history(policy, memory, ranges, decides)
+    history, first = _updated_history(policy, timing.frames, memory, ranges, decides)
     acting = (present & decides[..., None]).reshape(-1)
-    frames = config.frames.select(history).flatten(0, -4)[acting]
+    frames = timing.frames.select(history).flatten(0, -4)[acting]
     numbers = None if draws is None else draws().reshape(-1, 2)[acting]
     command = memory['command'].clone()
     chosen = clip_norm(policy.act_on(frames, first.reshape(-1)[acting], numbers), top_speed)
@@ -59,10 +68,10 @@ def act(
 
 
 def _updated_history(
-    policy: Policy, memory: PolicyMemory, ranges: Tensor, decides: Tensor
+    policy: Policy, frames: Frames, memory: PolicyMemory, ranges: Tensor, decides: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Return history and first ray with a reading added; the first one fills the history."""
-    last, frames = memory['history'], policy.config.frames
+    last = memory['history']
     newest = policy.scale(ranges).to(last.dtype)
     history, first = frames.push(last, newest), policy.first_ray(ranges)
     if not decides.all():

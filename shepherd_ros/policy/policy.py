@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
+from math import isclose
 
 from shepherd_ros.config import Config, ConfigError, option, part
 from shepherd_ros.policy.network import Actor, Critic, NetworkConfig
-from shepherd_ros.sim.frames import Frames
+from shepherd_ros.policy.timing import Timing
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import (
     arrange,
     first_ray,
     input_shape,
+    MAX_FRAME_INTERVAL,
     ObservationConfig,
     rotate_by_ray,
     scaled_ranges,
@@ -20,24 +22,30 @@ from shepherd_ros.sim.observation import (
 import torch
 from torch import nn, Tensor
 
+MAX_FRAME_DECISIONS = 1000  # from one frame to the next
+
 
 @dataclass(frozen=True)
 class PolicyConfig(Config):
-    """Configuration that a policy was trained for; an episode has to agree with it."""
+    """Configuration of a policy; times are in seconds, whatever the time step of an episode."""
 
-    dt: float = option(0.5, 'seconds per step', low=0.001, high=10.0)
-    action_repeat: int = option(1, 'steps that one action is held', low=1, high=1000)
+    decision_interval: float = option(
+        0.5, 'seconds from one decision to the next, in which an action is held',
+        low=0.001, high=MAX_FRAME_INTERVAL,
+    )  # fmt: skip
     lidar: LidarConfig = part(LidarConfig)
     observation: ObservationConfig = part(ObservationConfig)
     network: NetworkConfig = part(NetworkConfig)
 
     def __post_init__(self) -> None:
-        """Check each field, and spacing and padding against the others."""
+        """Check each field, and times and padding against the others."""
         super().__post_init__()
-        if self.observation.spacing % self.action_repeat:
+        interval, held = self.observation.frame_interval, self.decision_interval
+        decisions = round(interval / held)
+        if not 1 <= decisions <= MAX_FRAME_DECISIONS or not isclose(decisions * held, interval):
             raise ConfigError(
-                f'spacing is {self.observation.spacing}: expected a multiple of action_repeat, '
-                f'{self.action_repeat}, as frames are taken when an action is chosen'
+                f'frame_interval is {interval} s: expected 1 to {MAX_FRAME_DECISIONS} times '
+                f'decision_interval, {held} s, as frames are taken when an action is chosen'
             )
         if self.network.padding == 'circular' and self.observation.layout != 'ring':
             raise ConfigError(
@@ -45,10 +53,10 @@ class PolicyConfig(Config):
                 'as only there the last ray is beside the first'
             )
 
-    @property
-    def frames(self) -> Frames:
-        """Return the frames of the observation, counted in decisions."""
-        return Frames(self.observation.n_frames, self.observation.spacing // self.action_repeat)
+    def timing(self, dt: float) -> Timing:
+        """Return decisions and frames in episodes with steps of dt [s]."""
+        obs = self.observation
+        return Timing(self.decision_interval, obs.frame_interval, obs.n_frames, dt)
 
 
 class Policy(nn.Module):

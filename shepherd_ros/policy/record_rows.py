@@ -32,18 +32,17 @@ def record_rows(
 def _network(config: PolicyConfig) -> Rows:
     """Return what the policy sees and does."""
     sees, network, lidar = config.observation, config.network, config.lidar
-    held = config.action_repeat
     return [
         ('lidar', f'{lidar.n_rays} rays up to {lidar.range_max:g} m'),
         ('channels', ', '.join(lidar.layout.channels)),
-        ('frames', f'{sees.n_frames}, {sees.spacing} steps apart'),
+        ('frames', f'{sees.n_frames}, {sees.frame_interval:g} s apart'),
         ('layout', f'{sees.layout}, first ray toward the {sees.align}'),
         (
             'network',
             f'{network.filters_1} and {network.filters_2} filters, {network.hidden} units'
             + ', a gate that chooses to drive or to hold' * (network.modes == 2),
         ),
-        ('time step', f'{config.dt:g} s; an action is held for {held} step{"s" * (held > 1)}'),
+        ('decides every', f'{config.decision_interval:g} s'),
     ]
 
 

@@ -30,7 +30,7 @@ class ShepherdEnv:
         """Make the worlds; reset() starts them."""
         if n_worlds < 1:
             raise ValueError(f'n_worlds is {n_worlds}: expected at least 1')
-        self.config, self.frames = config, config.observation.frames
+        self.config, self.frames = config, config.observation.frames(config.world.dt)
         self.n_worlds = n_worlds
         self.lidar = lidar
         self.device = torch.device(device)

@@ -16,9 +16,17 @@ third and the fifth are seen. begin() fills it with the first reading, push() ad
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 
 import torch
 from torch import Tensor
+
+EQUALLY_NEAR = 1e-6  # difference of two distances, in steps, that counts as none
+
+
+def nearest_steps(duration: float, step: float) -> int:
+    """Return the number of steps nearest to a duration, at least 1, the smaller of two; both s."""
+    return max(1, math.ceil(duration / step - 0.5 - EQUALLY_NEAR))
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import math
 
 from shepherd_ros.config import Config, option
-from shepherd_ros.sim.frames import Frames
+from shepherd_ros.sim.frames import Frames, nearest_steps
 from shepherd_ros.sim.lidar_layout import GOAL_CHANNEL, PAPER_CHANNELS
 import torch
 from torch import Tensor
 
+MAX_FRAME_INTERVAL = 1000.0  # [s]
 LAYOUTS = ('types', 'frames', 'ring')
 
 
@@ -19,7 +20,9 @@ class ObservationConfig(Config):
     """Options of the network's input from scans."""
 
     n_frames: int = option(3, 'frames that are seen together', low=1, high=64)
-    spacing: int = option(1, 'steps from one frame to the next', low=1, high=1000)
+    frame_interval: float = option(
+        0.5, 'seconds from one frame to the next', low=0.001, high=MAX_FRAME_INTERVAL
+    )
     layout: str = option(
         'types',
         'types: channels are types, frames in a row; frames: the other way round; ring: both are '
@@ -39,10 +42,9 @@ class ObservationConfig(Config):
         0.0, 'input where a ray is free: 0 as in the paper; 1: range_max if unit is 0', low=0.0
     )
 
-    @property
-    def frames(self) -> Frames:
-        """Return the frames of the observation, counted in steps."""
-        return Frames(self.n_frames, self.spacing)
+    def frames(self, dt: float) -> Frames:
+        """Return the frames of the observation, counted in steps of dt [s], the nearest number."""
+        return Frames(self.n_frames, nearest_steps(self.frame_interval, dt))
 
 
 def scaled_ranges(ranges: Tensor, config: ObservationConfig, range_max: float) -> Tensor:

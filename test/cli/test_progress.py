@@ -66,7 +66,7 @@ def test_reading_goes_from_the_start_of_a_bag_to_its_end(
 def test_data_sets_tell_which_bag_is_next(tmp_path: Path) -> None:
     bags = [tiny_bag(tmp_path / name) for name in 'abc']
     told: list[tuple[int, int]] = []
-    frames = ObservationConfig(n_frames=2, spacing=1)
+    frames = ObservationConfig(n_frames=2, frame_interval=0.5)
     count_examples(bags, frames, on_bag=lambda done, total: told.append((done, total)))
     assert told == [(0, 3), (1, 3), (2, 3)]
 

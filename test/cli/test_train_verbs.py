@@ -42,10 +42,10 @@ def test_ppo_from_scratch_holds_actions_for_shorter(
     assert f'the best policy is in {tmp_path / "best.safetensors"}' in said
     lines = [json.loads(x) for x in (tmp_path / 'curve.jsonl').read_text().splitlines()]
     assert min(line['seconds_left'] for line in lines) == lines[-1]['seconds_left'] == 0
-    paces = [line['action_repeat'] for line in lines]
-    assert paces[0] == 8.0
+    paces = [line['decision_interval'] for line in lines]
+    assert paces[0] == 4.0
     assert paces == sorted(paces, reverse=True)
-    assert paces[-1] < 8.0
+    assert paces[-1] < 4.0
 
 
 def test_training_goes_on_from_a_checkpoint_with_what_is_asked_changed(tmp_path: Path) -> None:
@@ -60,7 +60,7 @@ def test_training_goes_on_from_a_checkpoint_with_what_is_asked_changed(tmp_path:
     assert end.config.network.init_std == 0.3
     assert end.config.network.min_std == 0.2
     assert end.config.network.filters_1 == 2
-    assert end.config.action_repeat == start.config.action_repeat == 1
+    assert end.config.decision_interval == start.config.decision_interval == 0.5
     for name, value in start.actor.state_dict().items():
         assert value.equal(end.actor.state_dict()[name]), name
     assert not start.critic.head.weight.equal(end.critic.head.weight)
@@ -92,10 +92,10 @@ def test_quick_is_another_recipe_in_which_options_count_as_ever(tmp_path: Path) 
         ('ppo --pretrained nowhere', "checkpoint is 'nowhere': expected a .safetensors file"),
         ('ppo --samples 0', r'samples is 0: expected a value in [1, inf]'),
         (
-            'ppo --final-action-repeat 3',
-            'final_action_repeat is 3: expected a number that halving',
+            'ppo --final-decision-interval 1.5',
+            'final_decision_interval is 1.5 s: expected a time that halving',
         ),
-        ('ppo --policy.action-repeat 3', 'spacing is 8: expected a multiple of action_repeat, 3'),
+        ('ppo --policy.decision-interval 3', 'frame_interval is 4.0 s: expected 1 to 1000 times'),
         ('dagger --teacher shepard', "controller is 'shepard': expected one of"),
         ('ppo --sheep-min 200', 'sheep_min is 200: expected at most sheep_max, 100'),
         (

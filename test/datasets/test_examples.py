@@ -47,7 +47,7 @@ import torch
 
 RAYS, STEPS, EPISODES_MADE = 64, 12, 4
 WORLD = replace(training_world(WorldConfig()), n_sheep=9, episode_steps=STEPS)
-OBSERVATION = ObservationConfig(spacing=3, align='goal', unit=10.0)
+OBSERVATION = ObservationConfig(frame_interval=1.5, align='goal', unit=10.0)
 POLICY = PolicyConfig(
     lidar=LidarConfig(n_rays=RAYS),
     observation=OBSERVATION,
@@ -254,7 +254,7 @@ def test_spread_by_hand() -> None:
 
 
 def test_info_tells_what_is_there(bags: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(['dataset', 'info', str(bags), '--spacing', '3', '--json']) == 0
+    assert main(['dataset', 'info', str(bags), '--frame-interval', '1.5', '--json']) == 0
     data = json.loads(capsys.readouterr().out)
     report = count_examples([bags], OBSERVATION)
     assert data == json.loads(json.dumps(report.to_dict()))
@@ -314,7 +314,10 @@ def test_bc_learns_the_same_from_a_built_folder(bags: Path, tmp_path: Path) -> N
         (['info'], 'no bags are given'),
         (['info', '{tmp}'], 'expected a bag, a folder of bags'),
         (['info', '{tmp}/none'], 'expected a bag, a folder of bags'),
-        (['info', '{bags}', '--spacing', '0'], 'spacing is 0: expected a value in'),
+        (
+            ['info', '{bags}', '--frame-interval', '0'],
+            'frame_interval is 0.0: expected a value in',
+        ),
         (['info', '{bags}', '--labels', 'teacher'], "labels is 'teacher', but it has no topic"),
         (['build', '{bags}', '--out', '{bags}'], 'it exists already'),
         (['build', '{bags}', '--out', '/proc/no/where'], 'it cannot be written'),

@@ -16,7 +16,7 @@ from shepherd_ros.experiments import campaign
 from shepherd_ros.experiments.campaign import plan, seed_batches, shard_of
 from shepherd_ros.experiments.catalog import EXPERIMENTS, experiments
 from shepherd_ros.experiments.cells import Cell, run_cell
-from shepherd_ros.experiments.methods import checkpoint_hash, full_name, make_method
+from shepherd_ros.experiments.methods import checkpoint_hash, full_name, make_method, timing_note
 from shepherd_ros.experiments.results import read_results, value_names
 from shepherd_ros.experiments.runner import run_episodes
 from shepherd_ros.experiments.samples import Samples
@@ -146,13 +146,16 @@ def run_state() -> object:
     return spawn(env_config(TINY).world, torch.tensor([3]))
 
 
-def test_a_policy_flies_at_another_time_step_only_where_it_is_allowed() -> None:
-    from shepherd_ros.config import ConfigError
-
-    with pytest.raises(ConfigError, match=r'dt is 1.0 s: expected 0.5 s'):
-        make_method('policy:imitation', Setting(preset='one_second'))
-    make_method('policy:imitation', Setting(preset='one_second', any_dt=True))
-    make_method('policy:imitation', Setting())  # and its dt is its own again
+def test_a_policy_drives_at_any_time_step_and_says_which_times_it_uses(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert timing_note('policy:imitation', 0.5) == timing_note('policy:imitation', 0.1) == ''
+    assert timing_note('drover', 0.2) == ''
+    note = 'policy:imitation decides every 1 s instead of 0.5 s, as a step takes 1 s'
+    assert timing_note('policy:imitation', 1.0) == note
+    words = ['evaluate', 'table', *WORDS, '--controllers', 'policy', 'idle']
+    assert main([*words, '--set', 'world.dt=1.0', '--out', str(tmp_path)]) == 0
+    assert capsys.readouterr().out.count(note) == 1
 
 
 # ---- the verb ----

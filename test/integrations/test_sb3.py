@@ -28,7 +28,7 @@ CONFIG = EnvConfig(
 
 @pytest.mark.parametrize('hold', [1, 3])
 def test_worlds_are_those_of_gymnasium_with_actions_held(hold: int) -> None:
-    env, core = HerdingVecEnv(CONFIG, 3, hold), HerdingVectorEnv(CONFIG, 3)
+    env, core = HerdingVecEnv(CONFIG, 3, hold * 0.5), HerdingVectorEnv(CONFIG, 3)
     env.seed(4)
     assert np.array_equal(env.reset(), core.reset(seed=4)[0])
     assert env.num_envs == 6
@@ -53,8 +53,11 @@ def test_worlds_are_those_of_gymnasium_with_actions_held(hold: int) -> None:
 
 
 def test_what_cannot_be_is_refused() -> None:
-    with pytest.raises(ConfigError, match='hold is 4: expected a divisor of episode_steps, 6'):
-        HerdingVecEnv(CONFIG, 1, 4)
+    with pytest.raises(
+        ConfigError,
+        match=r'decision_interval is 2.0 s, 4 steps of 0.5 s: .* divisor of episode_steps, 6',
+    ):
+        HerdingVecEnv(CONFIG, 1, 2.0)
     env = HerdingVecEnv(CONFIG, 1)
     assert env.get_attr('team') == [2, 2]
     assert env.env_is_wrapped(object) == [False, False]  # type: ignore[arg-type]
@@ -66,10 +69,12 @@ def test_what_cannot_be_is_refused() -> None:
 
 def test_an_evaluation_is_a_function_of_the_seed_and_of_the_model() -> None:
     kind = {'features_extractor_class': LidarFeatures}
-    model = PPO('MlpPolicy', HerdingVecEnv(CONFIG, 2, 2), policy_kwargs=kind, seed=0, device='cpu')
-    first = evaluate(model, CONFIG, 4, 2, seed=7)
-    assert evaluate(model, CONFIG, 4, 2, seed=7) == first
-    assert evaluate(model, CONFIG, 4, 2, seed=8) != first
+    model = PPO(
+        'MlpPolicy', HerdingVecEnv(CONFIG, 2, 1.0), policy_kwargs=kind, seed=0, device='cpu'
+    )
+    first = evaluate(model, CONFIG, 4, 1.0, seed=7)
+    assert evaluate(model, CONFIG, 4, 1.0, seed=7) == first
+    assert evaluate(model, CONFIG, 4, 1.0, seed=8) != first
     core, total = HerdingVectorEnv(CONFIG, 4), np.zeros(8)
     seen, _ = core.reset(seed=7)
     for step in range(6):

@@ -42,7 +42,7 @@ FORBIDDEN = (
     'compile', 'ctypes.dlopen', 'exec', 'import', 'os.exec', 'os.fork', 'os.posix_spawn',
     'os.system', 'pickle.find_class', 'socket.connect', 'subprocess.Popen',
 )  # fmt: skip
-OBSERVATION = ObservationConfig(n_frames=2, spacing=2)
+OBSERVATION = ObservationConfig(n_frames=2, frame_interval=1.0)
 ODD: list[Any] = [
     None, True, 0, 1, -1, 2, 0.5, -0.0, 1e308, 2**31, 2**63, 2**64, 10**30, float('nan'),
     float('inf'), '', 'x', '\ud800', '\x1b[2J', '../../etc', [], [[]], {}, {'x': 1}, [0] * 1000,

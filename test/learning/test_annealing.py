@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from shepherd_ros.config import ConfigError
 from shepherd_ros.learning.annealing import AnnealConfig, discount, stage_at, stages
@@ -12,29 +10,30 @@ from shepherd_ros.policy.policy import PolicyConfig
 from shepherd_ros.sim.observation import ObservationConfig
 
 FIRST = PolicyConfig(
-    action_repeat=8, observation=ObservationConfig(spacing=8), network=NetworkConfig(min_std=0.4)
+    decision_interval=4.0,
+    observation=ObservationConfig(frame_interval=4.0),
+    network=NetworkConfig(min_std=0.4),
 )
 
 
 def test_the_time_is_halved_down_to_the_last() -> None:
-    found = stages(FIRST, AnnealConfig(final_action_repeat=1, final_min_std=0.05))
-    assert [stage.action_repeat for stage in found] == [8, 4, 2, 1]
+    found = stages(FIRST, AnnealConfig(final_decision_interval=0.5, final_min_std=0.05))
+    assert [stage.decision_interval for stage in found] == [4.0, 2.0, 1.0, 0.5]
     # the floor of the spread falls by the same factor at each stage, 0.4 / 0.05 = 2 ** 3
     assert [stage.network.min_std for stage in found] == pytest.approx([0.4, 0.2, 0.1, 0.05])
-    assert [stage.frames.spacing for stage in found] == [1, 2, 4, 8]
-    assert stages(FIRST, AnnealConfig(final_action_repeat=8)) == [FIRST]
+    assert [stage.timing(0.5).frames.spacing for stage in found] == [1, 2, 4, 8]
+    assert stages(FIRST, AnnealConfig(final_decision_interval=4.0)) == [FIRST]
 
 
 def test_a_policy_of_one_step_has_one_stage() -> None:
     assert len(stages(PolicyConfig(), AnnealConfig())) == 1
 
 
-@pytest.mark.parametrize('last', [3, 5])
-def test_an_end_that_halving_misses_is_refused(last: int) -> None:
-    with pytest.raises(
-        ConfigError, match=f'final_action_repeat is {last}: .* action_repeat, 8, comes to'
-    ):
-        stages(FIRST, AnnealConfig(final_action_repeat=last))
+@pytest.mark.parametrize('last', [1.5, 2.5])
+def test_an_end_that_halving_misses_is_refused(last: float) -> None:
+    refusal = f'final_decision_interval is {last} s: .* decision_interval, 4.0 s, comes to'
+    with pytest.raises(ConfigError, match=refusal):
+        stages(FIRST, AnnealConfig(final_decision_interval=last))
 
 
 def test_stages_share_what_the_first_leaves() -> None:
@@ -46,9 +45,9 @@ def test_stages_share_what_the_first_leaves() -> None:
 
 
 def test_a_second_weighs_the_same_however_long_an_action_is_held() -> None:
-    assert discount(0.9, FIRST) == pytest.approx(0.9)  # eight steps of 0.5 s are 4 s
-    for stage in stages(FIRST, AnnealConfig()):
-        decisions = 16 // stage.action_repeat  # of 8 s
-        assert discount(0.9, stage) ** decisions == pytest.approx(0.9**2)
-    slow = replace(FIRST, dt=1.0)
-    assert discount(0.9, slow) == pytest.approx(0.9**2)
+    for dt in (0.1, 0.2, 0.5, 1.0):
+        assert discount(0.9, FIRST.timing(dt)) == pytest.approx(0.9)  # 4 s
+        for stage in stages(FIRST, AnnealConfig()):
+            timing = stage.timing(dt)
+            eight_seconds = 8 / (timing.action_repeat * dt)  # decisions
+            assert discount(0.9, timing) ** eight_seconds == pytest.approx(0.9**2)

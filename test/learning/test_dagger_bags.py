@@ -31,7 +31,7 @@ STEPS = 9
 TASK = TaskConfig(sheep_min=5, sheep_max=7, shepherds_max=3, episode_steps=STEPS, noise_max=0.4)
 POLICY = PolicyConfig(
     lidar=LidarConfig(n_rays=64),
-    observation=ObservationConfig(spacing=2, align='goal', unit=10.0),
+    observation=ObservationConfig(frame_interval=1.0, align='goal', unit=10.0),
     network=NetworkConfig(filters_1=2, filters_2=2, hidden=4),
 )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.train_ppo import PPORunConfig, PPOTrainer
-from shepherd_ros.learning.validation import validate
+from shepherd_ros.learning.validation import EvaluationConfig, validate
 from shepherd_ros.policy import fast_conv
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
@@ -24,9 +24,9 @@ def test_nothing_is_made_on_the_default_device(
     monkeypatch.setattr(fast_conv, 'HAS_NUMBA', False)
     policy = Policy(
         PolicyConfig(
-            action_repeat=2,
+            decision_interval=1.0,
             lidar=LidarConfig(n_rays=64),
-            observation=ObservationConfig(spacing=4, align='goal'),
+            observation=ObservationConfig(frame_interval=2.0, align='goal'),
             network=NetworkConfig(filters_1=2, filters_2=2, hidden=4),
         )
     )
@@ -42,6 +42,8 @@ def test_nothing_is_made_on_the_default_device(
         while training.progress['stage'] == before:
             training.update(bool)
         averaged = training.learner.averaged()
-        results = validate(averaged, task, 2, 3, torch.float32)
+        results = validate(
+            averaged, task, EvaluationConfig(eval_episodes=2, eval_steps=3), torch.float32
+        )
     assert results['score'] == results['score'], 'no NaN'
     assert all(p.device.type == 'cpu' for p in averaged.parameters())

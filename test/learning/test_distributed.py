@@ -25,7 +25,7 @@ from torch import Tensor
 COUNT, FIRST = 60, 44  # decisions, and how many of them the first of two processes has
 NETWORK = PolicyConfig(
     lidar=LidarConfig(n_rays=64),
-    observation=ObservationConfig(spacing=4),
+    observation=ObservationConfig(frame_interval=2.0),
     network=NetworkConfig(filters_1=2, filters_2=2, hidden=8),
 )
 TINY = (

@@ -183,10 +183,11 @@ def test_two_modes_ask_for_a_composite_teacher() -> None:
 
 def test_a_policy_that_teaches_decides_at_every_step(tmp_path: Path) -> None:
     world = WorldConfig(n_sheep=6, n_shepherds=2)
-    config = replace(CONFIG, action_repeat=4, observation=ObservationConfig(spacing=4))
+    observation = ObservationConfig(frame_interval=2.0)
+    config = replace(CONFIG, decision_interval=2.0, observation=observation)
     save_policy(tmp_path / 'held.safetensors', policy_of(config), {})
     word = f'policy:{tmp_path / "held.safetensors"}'
-    each = replace(config, action_repeat=1)  # frames as far apart as before
+    each = replace(config, decision_interval=0.5)  # frames as far apart as before
     alone = LearnedController(LearnedConfig(), world, policy_of(each))
     teachers = [make_teacher(w, world) for w in (word, f'composite:{word},idle,0,0')]
     state = spawn(world, torch.arange(3))

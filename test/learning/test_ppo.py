@@ -96,9 +96,9 @@ def test_ppo_learns_to_go_to_the_goal() -> None:
     torch.manual_seed(1)
     policy = Policy(
         PolicyConfig(
-            action_repeat=4,
+            decision_interval=2.0,
             lidar=LidarConfig(n_rays=96),
-            observation=ObservationConfig(n_frames=1, spacing=4, unit=10.0, align='goal'),
+            observation=ObservationConfig(n_frames=1, frame_interval=2.0, unit=10.0, align='goal'),
             network=NetworkConfig(filters_1=8, filters_2=8, hidden=32),
         )
     )

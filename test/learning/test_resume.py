@@ -38,9 +38,9 @@ from torch import Tensor
 
 LIDAR = LidarConfig(n_rays=64)
 POLICY = PolicyConfig(
-    action_repeat=2,
+    decision_interval=1.0,
     lidar=LIDAR,
-    observation=ObservationConfig(spacing=4, align='goal', unit=10.0),
+    observation=ObservationConfig(frame_interval=2.0, align='goal', unit=10.0),
     network=NetworkConfig(filters_1=2, filters_2=2, hidden=8),
 )
 TASK = TaskConfig(sheep_min=4, sheep_max=8, shepherds_max=3, episode_steps=20)
@@ -331,7 +331,9 @@ def test_one_decision_is_enough_for_finite_weights(tmp_path: Path, bags: Path) -
 
 
 def test_labels_are_of_the_step_of_their_frames_when_actions_are_held() -> None:
-    policy = Policy(replace(POLICY, action_repeat=4, observation=ObservationConfig(spacing=4)))
+    policy = Policy(
+        replace(POLICY, decision_interval=2.0, observation=ObservationConfig(frame_interval=2.0))
+    )
     config = DaggerConfig(task=TASK, worlds=2, groups=1, example_interval=1)
     worlds = LabelledWorlds(config, policy, 0, torch.float32)
     newest: list[tuple[Tensor, Tensor]] = []

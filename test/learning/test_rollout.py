@@ -33,9 +33,9 @@ def policy_of(repeat: int = 2, spacing: int = 4, **observation: object) -> Polic
     torch.manual_seed(7)
     return Policy(
         PolicyConfig(
-            action_repeat=repeat,
+            decision_interval=0.5 * repeat,
             lidar=LidarConfig(n_rays=64),
-            observation=ObservationConfig(spacing=spacing, unit=10.0, **observation),  # type: ignore[arg-type]
+            observation=ObservationConfig(frame_interval=0.5 * spacing, unit=10.0, **observation),  # type: ignore[arg-type]
             network=NetworkConfig(filters_1=2, filters_2=2, hidden=8),
         )
     )

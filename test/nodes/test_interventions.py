@@ -32,7 +32,7 @@ from std_srvs.srv import SetBool
 import torch
 
 RAYS, STEPS = 32, 24
-OBSERVATION = ObservationConfig(spacing=2, align='goal', unit=10.0)
+OBSERVATION = ObservationConfig(frame_interval=1.0, align='goal', unit=10.0)
 POLICY = PolicyConfig(
     lidar=LidarConfig(n_rays=RAYS),
     observation=OBSERVATION,

@@ -6,13 +6,13 @@ from dataclasses import replace
 import math
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistStamped
 from nodes.process import assert_same_states, Graph, nanoseconds
 import pytest
 from sensor_msgs.msg import LaserScan
 from shepherd_ros.controllers.policy_controller import LearnedConfig, LearnedController
-from shepherd_ros.policy.checkpoint import save_policy
+from shepherd_ros.policy import inference
+from shepherd_ros.policy.checkpoint import load_policy, save_policy
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.env import ShepherdEnv
@@ -24,8 +24,8 @@ import torch
 
 STEPS = 50
 CONFIG = PolicyConfig(
-    action_repeat=2,
-    observation=ObservationConfig(spacing=4, align='goal', unit=10.0),
+    decision_interval=1.0,
+    observation=ObservationConfig(frame_interval=2.0, align='goal', unit=10.0),
     network=NetworkConfig(filters_1=8, filters_2=8, hidden=32),
 )
 
@@ -41,9 +41,11 @@ def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(path)
 
 
-def expected_states(checkpoint: str, sample: bool, episodes: int = 1) -> list[WorldState]:
+def expected_states(
+    checkpoint: str, sample: bool, episodes: int = 1, dt: float = 0.5
+) -> list[WorldState]:
     """Return all states of episodes with seeds in a row, by env.step alone."""
-    world = replace(world_preset(), episode_steps=STEPS)
+    world = replace(world_preset(), episode_steps=STEPS, dt=dt)
     env = ShepherdEnv(EnvConfig(world=world), 1, lidar=False)
     law = LearnedController(LearnedConfig(checkpoint=checkpoint, sample=sample), world)
     states = []
@@ -58,15 +60,15 @@ def expected_states(checkpoint: str, sample: bool, episodes: int = 1) -> list[Wo
     return [state.world(0) for state in states]
 
 
-@pytest.mark.parametrize('sample', [False, True])
+@pytest.mark.parametrize(('sample', 'dt'), [(False, 0.5), (True, 0.2)])
 def test_fifty_steps_over_topics_are_fifty_calls_of_env_step(
-    graph: Graph, checkpoint: str, sample: bool
+    graph: Graph, checkpoint: str, sample: bool, dt: float
 ) -> None:
-    states = expected_states(checkpoint, sample, episodes=2)
+    states = expected_states(checkpoint, sample, episodes=2, dt=dt)
     moved = (states[20].shepherds - states[0].shepherds).norm(dim=-1)
     assert moved.min() > 1.0
     track = graph.track()
-    graph.start('flock_sim', episode_steps=STEPS, episodes=2)
+    graph.start('flock_sim', episode_steps=STEPS, episodes=2, dt=dt)
     graph.until(lambda: track.stamps, 'the first state')
     graph.start('lidar', shepherd_ids=[0, 1, 2])
     graph.start('policy', shepherd_ids=[0, 1, 2], checkpoint=checkpoint, sample=sample)
@@ -155,16 +157,46 @@ def test_a_scan_that_is_missing_nan_or_of_another_lidar_stops_the_shepherd(
     assert graph.warnings(r'256 rays, expected 512') or graph.warnings('NaN')
 
 
-def test_an_episode_with_another_time_step_is_refused_by_name(
-    graph: Graph, checkpoint: str
+@pytest.mark.parametrize('dt', [0.1, 0.05])
+def test_in_real_time_decisions_are_a_second_apart_though_scans_are_lost(
+    graph: Graph, checkpoint: str, dt: float
 ) -> None:
+    policy = load_policy(checkpoint)
+    timing = policy.config.timing(dt)
+    second = round(1 / dt)  # steps
+    # the scan of the second decision is lost: it is made at the next, and the third is in time
+    steps = [1, 2, second, second + 3, second + 4, 2 * second + 1, 2 * second + 3]
+    deciding = [1, second + 3, 2 * second + 1]
+    answers = Answers(graph, checkpoint, {'mode': 'realtime', 'rate': 0.01, 'dt': dt})
+    memory, expected = inference.begin(policy, timing, (), 1), []
+    present = torch.ones(1, dtype=torch.bool)
+    for k, step in enumerate(steps):
+        ranges = [math.inf] * 100 + [12.0 - k] * 30 + [math.inf] * 382
+        for channel in range(3):
+            answers.scan(round(step * dt * 1e9), channel, ranges)
+        graph.until(lambda k=k: len(answers.heard) == k + 1, 'an answer')
+        seen = torch.tensor(ranges).expand(1, 3, 512)
+        if step in deciding:
+            memory['count'].fill_(deciding.index(step) * second)
+            command, memory = inference.act(
+                policy, timing, lambda seen=seen: seen, present, memory, 1.0
+            )
+        expected.append(command[0].tolist())
+    got = [[m.twist.linear.x, m.twist.linear.y] for m in answers.heard]
+    assert got == expected
+    assert len({tuple(command) for command in got}) == len(deciding)
+
+
+def test_times_that_a_step_cannot_keep_are_logged_once(graph: Graph, checkpoint: str) -> None:
     graph.listen_to_logs()
-    heard = graph.collect('shepherd_0/cmd_vel', TwistStamped)
-    graph.host('policy', checkpoint=checkpoint)
-    graph.host('flock_sim', n_shepherds=1, dt=0.1)
-    status = graph.until_status('policy', 'dt is 0.1 s: expected 0.5 s')
-    assert status.level == DiagnosticStatus.ERROR
-    assert not heard
+    answers = Answers(graph, checkpoint, {'dt': 0.3})
+    for channel in range(3):
+        answers.scan(300_000_000, channel, GOOD)
+    graph.until(lambda: answers.heard, 'an answer')
+    told = 'decides every 0.9 s instead of 1 s, sees frames 1.8 s apart instead of 2 s'
+    assert len(graph.warnings(told)) == 1
+    status = graph.until_status('policy', '')
+    assert {v.key: v.value for v in status.values}['decision_interval'] == '0.9'
 
 
 def test_in_real_time_the_shepherds_stop_when_their_scans_do(

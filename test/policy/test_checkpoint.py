@@ -28,9 +28,9 @@ from shepherd_ros.sim.observation import ObservationConfig
 import torch
 
 SMALL = PolicyConfig(
-    action_repeat=2,
+    decision_interval=1.0,
     lidar=LidarConfig(n_rays=64),
-    observation=ObservationConfig(spacing=4, unit=12.5, align='goal'),
+    observation=ObservationConfig(frame_interval=2.0, unit=12.5, align='goal'),
     network=NetworkConfig(filters_1=2, filters_2=3, hidden=4),
 )
 
@@ -91,7 +91,10 @@ def changed(source: Path, target: Path, **metadata: str | None) -> Path:
         ({'record': None}, 'damaged metadata'),
         ({'config': '[' * 100_000}, 'damaged metadata'),
         ({'config': '{"hidden": 3}'}, "PolicyConfig field is 'hidden'"),
-        ({'config': '{"dt": -1.0}'}, 'dt is -1.0: expected a value in'),
+        (
+            {'config': '{"decision_interval": -1.0}'},
+            'interval is -1.0: expected a value in',
+        ),
         ({'config': json.dumps(PolicyConfig().to_dict())}, 'expected .32, 3, 10.'),
         ({'config': json.dumps(SMALL.to_dict() | {'network': {'hidden': 16384}})}, 'expected'),
     ],
@@ -184,9 +187,11 @@ def test_shipped_checkpoints_say_how_they_were_made() -> None:
 def test_an_option_by_its_name_of_before_is_refused_with_that_of_now(
     checkpoint: Path, tmp_path: Path
 ) -> None:
-    config = json.dumps({'dt': 0.5, 'repeat': 8})
+    config = json.dumps({'decision_intervall': 0.5})
     path = changed(checkpoint, tmp_path / 'old.safetensors', config=config)
-    with pytest.raises(ConfigError, match=r"'repeat': .*did you mean 'action_repeat'"):
+    with pytest.raises(
+        ConfigError, match=r"'decision_intervall': .*did you mean 'decision_interval'"
+    ):
         load_policy(str(path))
 
 

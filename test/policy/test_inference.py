@@ -5,7 +5,6 @@ from __future__ import annotations
 from itertools import product
 import math
 
-import pytest
 from reference import make_state
 from shepherd_ros.controllers.policy_controller import LearnedConfig, LearnedController
 from shepherd_ros.policy import inference
@@ -13,7 +12,6 @@ from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.env import ShepherdEnv
 from shepherd_ros.sim.lidar import LidarConfig, scan
 from shepherd_ros.sim.observation import first_ray, ObservationConfig, rotate_by_ray
-from shepherd_ros.sim.presets import world_preset
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 import torch
@@ -75,9 +73,11 @@ def test_with_the_goal_in_front_a_turned_world_gets_turned_actions() -> None:
 
 
 def test_actions_are_held_and_frames_are_apart_as_told() -> None:
-    policy = policy_of(action_repeat=2, observation=ObservationConfig(n_frames=3, spacing=4))
+    observation = ObservationConfig(n_frames=3, frame_interval=2.0)
+    policy = policy_of(decision_interval=1.0, observation=observation)
+    timing = policy.config.timing(0.5)
     readings = [torch.full((1, 3, 512), float(t + 1)) for t in range(14)]
-    memory = inference.begin(policy, (), 1)
+    memory = inference.begin(policy, timing, (), 1)
     present = torch.tensor([True])
     looked = []
     for t, reading in enumerate(readings):
@@ -86,7 +86,7 @@ def test_actions_are_held_and_frames_are_apart_as_told() -> None:
             looked.append(t)
             return reading
 
-        command, memory = inference.act(policy, look, present, memory, 1.0)
+        command, memory = inference.act(policy, timing, look, present, memory, 1.0)
         decided = t - t % 2
         frames = [max(decided - back, 0) for back in (8, 4, 0)]
         stack = torch.stack([readings[k] for k in frames], dim=1)
@@ -97,10 +97,11 @@ def test_actions_are_held_and_frames_are_apart_as_told() -> None:
 def test_a_command_is_at_most_the_top_speed_and_the_absent_keep_still() -> None:
     policy = policy_of()
     policy.actor.head.bias.data = torch.tensor([30.0, 40.0, 0.0, 0.0])
-    memory = inference.begin(policy, (2,), 2)
+    timing = policy.config.timing(0.5)
+    memory = inference.begin(policy, timing, (2,), 2)
     present = torch.tensor([[True, False], [False, True]])
     command, memory = inference.act(
-        policy, lambda: torch.full((2, 2, 3, 512), math.inf), present, memory, 0.5
+        policy, timing, lambda: torch.full((2, 2, 3, 512), math.inf), present, memory, 0.5
     )
     speed = command.norm(dim=-1)
     torch.testing.assert_close(speed, 0.5 * present.float())
@@ -109,7 +110,7 @@ def test_a_command_is_at_most_the_top_speed_and_the_absent_keep_still() -> None:
 
 def test_the_controller_sees_what_the_environment_shows() -> None:
     world = WorldConfig(n_sheep=15, n_shepherds=2)
-    observation = ObservationConfig(spacing=3, align='goal', unit=20.0)
+    observation = ObservationConfig(frame_interval=1.5, align='goal', unit=20.0)
     policy = policy_of(observation=observation)
     env = ShepherdEnv(EnvConfig(world=world, observation=observation, noise_std=0.3), 3)
     controller = LearnedController(LearnedConfig(), world, policy)
@@ -135,8 +136,3 @@ def test_sampled_actions_are_a_function_of_seed_and_step() -> None:
 
     assert torch.equal(act(True), act(True))
     assert not torch.allclose(act(True), act(False), atol=0.05)
-
-
-def test_a_world_with_another_time_step_is_refused() -> None:
-    with pytest.raises(ValueError, match=r'dt is 0.1 s: expected 0.5 s'):
-        LearnedController(LearnedConfig(), world_preset('fine_dt'), policy_of())

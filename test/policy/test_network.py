@@ -133,8 +133,8 @@ def test_every_layout_and_spread_gives_finite_actions(layout: str, spread: str) 
 
 
 def test_sizes_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(ConfigError, match='spacing is 3: expected a multiple of action_repeat, 2'):
-        PolicyConfig(action_repeat=2, observation=ObservationConfig(spacing=3))
+    with pytest.raises(ConfigError, match=r'frame_interval is 1.5 s: .* decision_interval, 1.0 s'):
+        PolicyConfig(decision_interval=1.0, observation=ObservationConfig(frame_interval=1.5))
     with pytest.raises(ConfigError, match="layout is 'types': expected ring"):
         PolicyConfig(network=NetworkConfig(padding='circular'))
     with pytest.raises(ConfigError, match='expected 79 or more'):
@@ -144,7 +144,9 @@ def test_sizes_that_do_not_fit_are_refused() -> None:
 def test_a_policy_with_another_configuration_shares_weights_and_leaves_the_first_alone() -> None:
     config = PolicyConfig(network=NetworkConfig(filters_1=3, filters_2=5, hidden=7))
     policy = Policy(config)
-    wide = replace(config, dt=0.1, network=replace(config.network, min_std=1.2, max_std=1.3))
+    wide = replace(
+        config, decision_interval=0.25, network=replace(config.network, min_std=1.2, max_std=1.3)
+    )
     other = policy.with_config(wide)
     assert (policy.config, policy.actor.config) == (config, config.network)
     assert (other.config, other.actor.config) == (wide, wide.network)

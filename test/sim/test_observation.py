@@ -67,7 +67,7 @@ def test_the_announced_shape_is_that_of_the_input_for_any_leading_axes(
 ) -> None:
     config = ObservationConfig(n_frames=n_frames, layout=layout)
     ranges = torch.rand(4, 5, 3, 16, generator=torch.Generator().manual_seed(0))
-    frames = config.frames
+    frames = config.frames(0.5)
     stack = frames.push(frames.begin(ranges), ranges * 2)
     got = network_input(stack, config, 75.0)
     assert got.shape == (4, 5, *input_shape(config, 16))
