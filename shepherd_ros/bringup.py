@@ -150,8 +150,8 @@ def stack_in(
     standby are controllers that mux can switch to.
     """
     setting = canonical_setting(setting)
-    changes = changes_of(setting)
     flock_sim = {'flock': setting.flock, 'preset': setting.preset, **flock_sim}
+    changes = _own_lidar(controller, flock_sim) | changes_of(setting)
     stack = herding_stack(controller, setting.shepherds, changes, **flock_sim)
     others = [_seeing(controller_process(word, flock_sim), changes) for word in standby]
     if others and not mux:
@@ -162,6 +162,15 @@ def stack_in(
         if checkpoint := process.parameters.get('checkpoint'):
             _require_fit(checkpoint, setting)
     return with_mux(stack, others) if mux else stack
+
+
+def _own_lidar(controller: str, flock_sim: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options by path of the lidar that a policy was trained with, if it is one."""
+    from shepherd_ros.experiments.methods import loaded
+
+    checkpoint = controller_process(controller, flock_sim).parameters.get('checkpoint')
+    contact = loaded(checkpoint).config.lidar.contact if checkpoint else ''
+    return {'lidar.contact': contact} if contact == 'facing' else {}
 
 
 def _require_fit(checkpoint: str, setting: Setting) -> None:

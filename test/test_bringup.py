@@ -23,11 +23,14 @@ from shepherd_ros.launch_arguments import (
 )
 from shepherd_ros.nodes.compose import NODES
 from shepherd_ros.nodes.herd_node import HerdOptions
-from shepherd_ros.policy.checkpoint import shipped_checkpoints
+from shepherd_ros.policy.checkpoint import save_policy, shipped_checkpoints
+from shepherd_ros.policy.network import NetworkConfig
+from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.resources import quick_profile, share_file
 from shepherd_ros.ros.runtime import parse_options
 from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.flocking.flock_model import FlockConfig
+from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.presets import PRESETS
 from shepherd_ros.wire.topics import renamed_topics
 import yaml
@@ -178,6 +181,18 @@ def test_what_a_setting_changes_reaches_the_nodes_that_have_it() -> None:
         options += ['--set', word]
     herd = parse_options(HerdOptions, 'herd', options)
     assert stack_in(herd.setting, 'pierson', seed=3) == stack_in(values.setting, 'pierson', seed=3)
+
+
+def test_lidars_of_a_stack_touch_bodies_as_the_policy_knows_it(tmp_path: Path) -> None:
+    path = tmp_path / 'facing.safetensors'
+    network = NetworkConfig(filters_1=2, filters_2=2, hidden=2)
+    save_policy(
+        path, Policy(PolicyConfig(lidar=LidarConfig(contact='facing'), network=network)), {}
+    )
+    lidars = [p for p in stack_in(Setting(), f'policy:{path}') if p.executable == 'lidar']
+    assert [p.parameters['contact'] for p in lidars] == ['facing'] * 3
+    lidars = [p for p in stack_in(Setting(), 'policy:imitation') if p.executable == 'lidar']
+    assert not any('contact' in p.parameters for p in lidars)
 
 
 def test_a_viewer_of_a_stack_in_a_namespace_gets_its_topics() -> None:

@@ -22,7 +22,7 @@ def spaces_of(config: EnvConfig) -> tuple[spaces.Box, spaces.Box]:
     types, n_rays = lidar.layout.shape
     shape = input_shape(observation, n_rays, types)
     return (
-        spaces.Box(0.0, highest, shape, np.float32),
+        spaces.Box(min(observation.none_value, 0.0), highest, shape, np.float32),
         spaces.Box(-1.0, 1.0, (2,), np.float32),
     )
 

@@ -18,6 +18,7 @@ from torch import Tensor
 CONTACT_RANGE = (
     0.01  # [m] range to a body that overlaps the sensor: not 0, which stands for nothing seen
 )
+FACING_SLACK = 1e-6  # [m] so that rays across, and all of a sensor in the very middle, face it
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,13 @@ class LidarConfig(Config):
     range_noise: float = option(0.0, 'standard deviation of a range [m]', low=0.0)
     dropout: float = option(
         0.0, 'chance that a ray of a channel returns nothing', low=0.0, high=1.0
+    )
+    contact: str = option(
+        'all',
+        'rays that return from a body that overlaps the sensor: all: every ray; facing: those '
+        'within 90 degrees of its middle, as from its rim, which says where it is (choice)',
+        choices=('all', 'facing'),
+        sparse=True,
     )
     others: str = option(
         '',
@@ -67,14 +75,16 @@ def cast_rays(
     n_rays: int,
     range_max: float,
     solid: bool = True,
+    facing: bool = False,
 ) -> Tensor:
     """
     Return the range to the nearest disc along each ray, +inf where a ray is free.
 
     origin (..., 2) m, centers (..., K, 2) m, radius (..., K) m, mask (..., K) bool (False: not
     there) -> (..., n_rays) m, world frame; ray k points along 2 pi k / n_rays, counter-clockwise
-    from +x. From inside a solid disc every ray returns CONTACT_RANGE, from inside one that is not,
-    its rim. Only the rays that a disc covers, an interval of angles, are computed.
+    from +x. From inside a solid disc every ray, or each that faces its middle, returns
+    CONTACT_RANGE; from inside one that is not, its rim. Only the rays that a disc covers, an
+    interval of angles, are computed.
     """
     batch, pitch = origin.shape[:-1], 2 * math.pi / n_rays
     offset = centers - origin[..., None, :]
@@ -106,6 +116,8 @@ def cast_rays(
     depth = (radius * radius - across * across).clamp(min=0).sqrt()
     rim = torch.full_like(along, CONTACT_RANGE) if solid else along + depth
     distance = torch.where(inside, rim, along - depth)
+    if solid and facing:
+        distance = torch.where(inside & (along < -FACING_SLACK), torch.inf, distance)
     ranges = torch.full((math.prod(batch) * n_rays,), torch.inf, dtype=x.dtype, device=x.device)
     ranges.scatter_reduce_(0, sensor[disc] * n_rays + ray, distance, 'amin')
     return ranges.masked_fill_(ranges > range_max, torch.inf).reshape(*batch, n_rays)
@@ -120,6 +132,7 @@ def cast_all_rays(
     n_rays: int,
     range_max: float,
     solid: bool = True,
+    facing: bool = False,
 ) -> Tensor:
     """
     Return the ranges of cast_rays(), from a test of each ray against each disc.
@@ -139,6 +152,8 @@ def cast_all_rays(
     ahead = (across.abs() <= radius) & (along > 0)
     rim = torch.full_like(along, CONTACT_RANGE) if solid else along + depth
     distance = torch.where(inside, rim, along - depth)
+    if solid and facing:
+        inside = inside & (along >= -FACING_SLACK)
     hit = (inside | ahead) & mask[..., None] & (distance <= range_max)
     return torch.where(hit, distance, torch.inf).amin(dim=-2)
 
@@ -172,6 +187,7 @@ def _discs(state: WorldState, config: LidarConfig, shepherds: Tensor) -> Tensor:
             config.n_rays,
             config.range_max,
             CONTACT_RANGE,
+            FACING_SLACK if config.contact == 'facing' else torch.inf,
         )
     indices = torch.arange(state.shepherds.shape[-2], device=shepherds.device)
 
@@ -204,8 +220,9 @@ def _channel(
     present = state.shepherd_mask[..., shepherds, None]  # (..., S, 1)
     mask = (mask & present).expand(*origin.shape[:-1], centers.shape[-2])
     return (cast_all_rays if fusible(origin) else cast_rays)(
-        origin, centers[..., None, :, :], radius, mask, config.n_rays, config.range_max, solid
-    )
+        origin, centers[..., None, :, :], radius, mask, config.n_rays, config.range_max, solid,
+        config.contact == 'facing',
+    )  # fmt: skip
 
 
 def _plugin_channel(

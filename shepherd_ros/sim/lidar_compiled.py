@@ -22,8 +22,12 @@ def _ray_table(n_rays: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @compiled
-def _scan_disc(x, y, radius, cos, sin, range_max, contact_range, out):
-    """Lower the ranges (R,) to a disc at x, y; contact_range < 0: the rim seen from inside."""
+def _scan_disc(x, y, radius, cos, sin, range_max, contact_range, behind, out):
+    """
+    Lower the ranges (R,) to a disc at x, y; contact_range < 0: the rim seen from inside.
+
+    Rays of which the middle is more than `behind` [m] behind the sensor do not return from inside.
+    """
     n_rays = cos.shape[0]
     distance = np.float32(math.sqrt(x * x + y * y))
     if distance - radius >= range_max:
@@ -44,6 +48,8 @@ def _scan_disc(x, y, radius, cos, sin, range_max, contact_range, out):
         along = x * cos[ray] + y * sin[ray]
         hit = along - depth
         if inside:
+            if contact_range >= 0 and along < -behind:
+                continue
             hit = contact_range if contact_range >= 0 else along + depth
         if hit < out[ray] and hit <= range_max:
             out[ray] = hit
@@ -52,7 +58,7 @@ def _scan_disc(x, y, radius, cos, sin, range_max, contact_range, out):
 @compiled
 def _scan(
     sheep, sheep_mask, shepherds, shepherd_mask, goal, goal_radius, chosen, sheep_radius,
-    shepherd_radius, cos, sin, range_max, contact_range, out,
+    shepherd_radius, cos, sin, range_max, contact_range, behind, out,
 ):  # fmt: skip
     for b in range(sheep.shape[0]):
         for s in range(chosen.shape[0]):
@@ -64,17 +70,17 @@ def _scan(
                 if sheep_mask[b, i]:
                     _scan_disc(
                         sheep[b, i, 0] - x, sheep[b, i, 1] - y, sheep_radius,
-                        cos, sin, range_max, contact_range, out[b, s, 0],
+                        cos, sin, range_max, contact_range, behind, out[b, s, 0],
                     )  # fmt: skip
             for h in range(shepherds.shape[1]):
                 if shepherd_mask[b, h] and h != sensor:
                     _scan_disc(
                         shepherds[b, h, 0] - x, shepherds[b, h, 1] - y, shepherd_radius,
-                        cos, sin, range_max, contact_range, out[b, s, 1],
+                        cos, sin, range_max, contact_range, behind, out[b, s, 1],
                     )  # fmt: skip
             _scan_disc(
                 goal[b, 0] - x, goal[b, 1] - y, goal_radius[b],
-                cos, sin, range_max, np.float32(-1), out[b, s, 2],
+                cos, sin, range_max, np.float32(-1), behind, out[b, s, 2],
             )  # fmt: skip
 
 
@@ -86,6 +92,7 @@ def scan_discs(
     n_rays: int,
     range_max: float,
     contact_range: float,
+    behind: float,
 ) -> Tensor:
     """Return the ranges (..., S, 3, R) m of the paper's channels, as sim.lidar does."""
     batch, shape = state.step.shape, (len(chosen), len(PAPER_CHANNELS), n_rays)
@@ -105,6 +112,7 @@ def scan_discs(
         sin,
         np.float32(range_max),
         np.float32(contact_range),
+        np.float32(behind),
         out,
     )
     return torch.from_numpy(out).reshape(*batch, *shape)

@@ -39,7 +39,16 @@ class ObservationConfig(Config):
         0.0, 'ranges are divided by this [m]; 0: by range_max (choice)', low=0.0, high=1000.0
     )
     none_value: float = option(
-        0.0, 'input where a ray is free: 0 as in the paper; 1: range_max if unit is 0', low=0.0
+        0.0,
+        'input where a ray is free: 0 as in the paper, like a disc at hand; -1 like none; 1: '
+        'range_max if unit is 0',
+        low=-1.0,
+    )
+    range_min: float = option(
+        0.0,
+        'nearer readings count as this [m], so that a disc at hand is no free ray (choice)',
+        low=0.0,
+        sparse=True,
     )
 
     def frames(self, dt: float) -> Frames:
@@ -48,7 +57,9 @@ class ObservationConfig(Config):
 
 
 def scaled_ranges(ranges: Tensor, config: ObservationConfig, range_max: float) -> Tensor:
-    """Return ranges (...) m in the network's unit, with free rays as none_value."""
+    """Return ranges (...) m in the network's unit, at least range_min, free rays as none_value."""
+    if config.range_min:
+        ranges = ranges.clamp(min=config.range_min)
     unit = config.unit or range_max
     return torch.where(ranges.isfinite(), ranges / unit, config.none_value)
 

@@ -30,7 +30,10 @@ def test_pettingzoo_is_content() -> None:
     parallel_seed_test(lambda: HerdingParallelEnv(CONFIG), num_cycles=10)
 
 
-@pytest.mark.parametrize('observation', [ObservationConfig(), CONFIG.observation])
+@pytest.mark.parametrize(
+    'observation',
+    [ObservationConfig(), CONFIG.observation, ObservationConfig(range_min=1.5, none_value=-1.0)],
+)
 def test_vector_environments_are_those_of_the_core(observation: ObservationConfig) -> None:
     config = replace(CONFIG, observation=observation)
     env, core = HerdingVectorEnv(config, 3), ShepherdEnv(config, 3)

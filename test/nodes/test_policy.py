@@ -16,6 +16,7 @@ from shepherd_ros.policy.checkpoint import load_policy, save_policy
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.env import ShepherdEnv
+from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import ObservationConfig
 from shepherd_ros.sim.presets import world_preset
 from shepherd_ros.sim.rollout import EnvConfig
@@ -25,7 +26,10 @@ import torch
 STEPS = 50
 CONFIG = PolicyConfig(
     decision_interval=1.0,
-    observation=ObservationConfig(frame_interval=2.0, align='goal', unit=10.0),
+    lidar=LidarConfig(contact='facing'),
+    observation=ObservationConfig(
+        frame_interval=2.0, align='goal', unit=10.0, range_min=1.5, none_value=-1.0
+    ),
     network=NetworkConfig(filters_1=8, filters_2=8, hidden=32),
 )
 
@@ -70,7 +74,7 @@ def test_fifty_steps_over_topics_are_fifty_calls_of_env_step(
     track = graph.track()
     graph.start('flock_sim', episode_steps=STEPS, episodes=2, dt=dt)
     graph.until(lambda: track.stamps, 'the first state')
-    graph.start('lidar', shepherd_ids=[0, 1, 2])
+    graph.start('lidar', shepherd_ids=[0, 1, 2], contact='facing')
     graph.start('policy', shepherd_ids=[0, 1, 2], checkpoint=checkpoint, sample=sample)
     graph.until(lambda: len(track.stamps) >= len(states), f'{len(states)} states')
     assert_same_states(track, states)
@@ -79,7 +83,7 @@ def test_fifty_steps_over_topics_are_fifty_calls_of_env_step(
 def test_a_node_for_each_shepherd_drives_as_one_for_all(graph: Graph, checkpoint: str) -> None:
     states = expected_states(checkpoint, sample=True)
     track = graph.track()
-    graph.host('lidar', shepherd_ids=[0, 1, 2])
+    graph.host('lidar', shepherd_ids=[0, 1, 2], contact='facing')
     for h in range(3):
         graph.host(
             'policy', '-r', f'__node:=policy_{h}', shepherd_ids=[h], checkpoint=checkpoint,

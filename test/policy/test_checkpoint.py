@@ -29,8 +29,10 @@ import torch
 
 SMALL = PolicyConfig(
     decision_interval=1.0,
-    lidar=LidarConfig(n_rays=64),
-    observation=ObservationConfig(frame_interval=2.0, unit=12.5, align='goal'),
+    lidar=LidarConfig(n_rays=64, contact='facing'),
+    observation=ObservationConfig(
+        frame_interval=2.0, unit=12.5, align='goal', range_min=1.5, none_value=-1.0
+    ),
     network=NetworkConfig(filters_1=2, filters_2=3, hidden=4),
 )
 

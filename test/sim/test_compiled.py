@@ -67,12 +67,14 @@ def test_a_compiled_flock_step_equals_the_plain_one(monkeypatch) -> None:
             state = step(state, torch.ones_like(state.shepherds), config)
 
 
-@pytest.mark.parametrize('n_rays', [4, 90, 512])
+@pytest.mark.parametrize(('n_rays', 'contact'), product([4, 90, 512], ['all', 'facing']))
 def test_a_compiled_scan_equals_the_plain_one_but_for_rays_that_graze_a_rim(
-    monkeypatch, n_rays
+    monkeypatch, n_rays, contact
 ) -> None:
     _, state = worlds(StrombomFlock(), 60, batch=8)
-    config = LidarConfig(n_rays=n_rays, range_max=20.0)
+    state.shepherds[:, 1] = state.shepherds[:, 0] + torch.tensor([0.2, 0.1])
+    state.shepherds[:, 2] = state.sheep[:, 0] + torch.tensor([-0.1, 0.3])
+    config = LidarConfig(n_rays=n_rays, range_max=20.0, contact=contact)
     fast, plain = both(monkeypatch, scan, state, config)
     same = (fast == plain) | ((fast - plain).abs() < 2e-3)
     assert same.float().mean() > 0.9995

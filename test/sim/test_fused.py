@@ -33,6 +33,7 @@ def works() -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
         'reynolds': (reynolds_flock.steered, (state.sheep, state, ReynoldsFlock(), 0.5)),
         'network': (plain_stage, (torch.randn(5, 3, 64), torch.randn(8, 3, 10), torch.randn(8))),
         'lidar': (cast_all_rays, (*discs, 64, 75.0)),
+        'lidar, facing': (cast_all_rays, (*discs, 64, 75.0, True, True)),
     }
 
 

@@ -175,6 +175,41 @@ def test_a_body_that_overlaps_the_sensor_touches_on_every_ray() -> None:
         assert_near(cast([center]), torch.full((16,), 0.01), 1e-9)
 
 
+@pytest.mark.parametrize(
+    ('center', 'rays'),
+    [
+        ([0.3, -0.2], {11, 12, 13, 14, 15, 0, 1, 2}),  # at -34 degrees: -124 to 56
+        ([0.0, 0.499], set(range(9))),  # at 90 degrees: 0 to 180, those across too
+        ([-0.1, 0.0], set(range(4, 13))),
+        ([0.0, 0.0], set(range(16))),  # in its very middle there is no direction
+    ],
+)
+def test_a_body_that_overlaps_the_sensor_may_touch_only_on_rays_that_face_it(
+    center: list[float], rays: set[int]
+) -> None:
+    expected = only(16, **{f'ray{k}': CONTACT_RANGE for k in rays})
+    assert_near(cast([center], facing=True), expected, 1e-9)
+    rim = cast([[1.0, 0.0]], radius=4.0, solid=False)  # which is no body
+    assert_near(cast([[1.0, 0.0]], radius=4.0, solid=False, facing=True), rim, 1e-9)
+
+
+def test_rays_that_face_a_body_are_those_that_see_it_from_its_rim() -> None:
+    outside, inside = (cast([[x, 0.0]], n_rays=512, facing=True) for x in (0.50001, 0.49999))
+    assert int((outside.isfinite() != inside.isfinite()).sum()) <= 2  # those that graze it
+    assert int(inside.isfinite().sum()) == 257
+
+
+def test_shepherds_that_overlap_see_each_other_on_opposite_sides() -> None:
+    state = make_state(0, 1, 2, dtype=torch.float32)
+    state.shepherds[:] = torch.tensor([[0.2, 0.1], [-0.2, 0.1]])
+    state.sheep[:] = 30.0
+    blind, seeing = (scan(state, LidarConfig(contact=name))[:, 1] for name in ('all', 'facing'))
+    assert torch.equal(blind[0], blind[1])
+    left, right = seeing[1].isfinite(), seeing[0].isfinite()
+    assert left[[0, 64, 448]].all() and not left[[129, 256, 383]].any()
+    assert torch.equal(right.roll(256), left)
+
+
 def test_from_inside_the_goal_its_rim_is_seen_all_round() -> None:
     assert_near(cast([[0.0, 0.0]], radius=4.0, solid=False), torch.full((16,), 4.0), 1e-9)
     rim = cast([[1.0, 0.0]], radius=4.0, solid=False)

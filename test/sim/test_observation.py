@@ -12,6 +12,7 @@ from shepherd_ros.sim.observation import (
     LAYOUTS,
     network_input,
     ObservationConfig,
+    scaled_ranges,
 )
 import torch
 from torch import Tensor
@@ -58,6 +59,14 @@ def test_ranges_are_in_units_of_the_greatest_and_free_rays_have_a_value_of_their
         config = ObservationConfig(n_frames=1, layout=layout, none_value=none)
         got = network_input(ranges[None], config, 75.0)
         assert_near(got.flatten(), [1.0, none, 0.5, 0.01, none, none], 1e-6)
+
+
+def test_a_disc_at_hand_is_no_free_ray_with_a_nearest_range_and_a_value_for_none() -> None:
+    ranges = torch.tensor([INF, 0.01, 1.4, 1.5, 20.0, 75.0])
+    paper = scaled_ranges(ranges, ObservationConfig(), 75.0)
+    assert_near(paper, [0.0, 0.01 / 75, 1.4 / 75, 0.02, 20 / 75, 1.0], 1e-6)
+    config = ObservationConfig(unit=10.0, range_min=1.5, none_value=-1.0)
+    assert_near(scaled_ranges(ranges, config, 75.0), [-1.0, 0.15, 0.15, 0.15, 2.0, 7.5], 1e-6)
 
 
 @pytest.mark.parametrize('layout', LAYOUTS)
