@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from shepherd_ros.config import Config, option
+from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.controllers.controller import Controller, CONTROLLERS, Memory
 from shepherd_ros.policy import inference
 from shepherd_ros.policy.policy import Policy
@@ -23,6 +23,27 @@ class LearnedConfig(Config):
 
     checkpoint: str = option('imitation', 'checkpoint: a file, or the name of one that is shipped')
     sample: bool = option(False, 'draw actions from the policy; false: its mean')
+    sample_std: float = option(
+        0.0,
+        'standard deviation about the mean with which actions are drawn [m/s]; 0: as sample '
+        'says. Draws follow from the seed of the episode',
+        low=0.0,
+        high=10.0,
+    )
+
+    def __post_init__(self) -> None:
+        """Check each field, and that there is one spread."""
+        super().__post_init__()
+        if self.sample and self.sample_std:
+            raise ConfigError(
+                f'sample_std is {self.sample_std} m/s: expected 0 with sample, which draws with '
+                'the spread of the policy'
+            )
+
+    @property
+    def draws(self) -> bool:
+        """Return whether actions are drawn."""
+        return self.sample or self.sample_std > 0
 
 
 @CONTROLLERS.add
@@ -55,8 +76,18 @@ class LearnedController(Controller):
 
     @classmethod
     def options_of(cls, text: str) -> dict[str, Any]:
-        """Return the checkpoint that the text names; without any, the default one."""
-        return {'checkpoint': text} if text else {}
+        """
+        Return the options of CHECKPOINT or CHECKPOINT@STD, such as general@0.08.
+
+        STD is sample_std [m/s]; without a checkpoint, the default one counts.
+        """
+        checkpoint, _, number = text.rpartition('@')
+        try:
+            spread = {'sample_std': float(number)} if '@' in text else {}
+        except ValueError:  # it is part of the name of a file
+            spread = {}
+        checkpoint = checkpoint if spread else text
+        return ({'checkpoint': checkpoint} if checkpoint else {}) | spread
 
     def begin(self, state: WorldState) -> Memory:
         """Return the memory of a team before its first scan."""
@@ -80,7 +111,8 @@ class LearnedController(Controller):
             state.shepherd_mask,
             memory,
             self.world.shepherd_speed,
-            draws if self.config.sample else None,
+            draws if self.config.draws else None,
+            std=self.config.sample_std,
         )
 
 

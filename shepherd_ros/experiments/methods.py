@@ -41,7 +41,8 @@ def full_name(word: str) -> str:
     """Return a name with its checkpoints: policy is policy:imitation; or raise ConfigError."""
     kind, options = split_name(word)
     if kind == POLICY:
-        return f'{POLICY}:{options.get("checkpoint", LearnedConfig().checkpoint)}'
+        learned = LearnedConfig(**options)
+        return f'{POLICY}:{learned.checkpoint}' + f'@{learned.sample_std:g}' * learned.draws
     parts = [full_name(part) for part in _parts(kind, options)]
     distances = word.split(',')[len(parts) :]
     return f'{kind}:{",".join([*parts, *distances])}' if parts else kind
@@ -56,13 +57,13 @@ def _parts(kind: str, options: Mapping[str, Any]) -> list[str]:
 def checkpoint_of(name: str) -> str:
     """Return the checkpoint in the full name of a policy, empty for the others."""
     kind, _, text = name.partition(':')
-    return text if kind == POLICY else ''
+    return LearnedController.options_of(text).get('checkpoint', '') if kind == POLICY else ''
 
 
 def label(name: str) -> str:
     """Return the label of a method in pictures and pages; those of this project are marked."""
-    checkpoint = checkpoint_of(name)
-    return f'policy {checkpoint} (ours)' if checkpoint else kind_of(name).label or name
+    kind, _, text = name.partition(':')
+    return f'policy {text} (ours)' if kind == POLICY else kind_of(name).label or name
 
 
 def kind_of(name: str) -> type[Controller]:
@@ -164,7 +165,7 @@ def method_in(config: EnvConfig, name: str, preset: str = 'default') -> Controll
         made = (method_in(config, part, preset) for part in parts)
         return CompositeController(chosen, config.world, *made)
     policy = loaded(checkpoint)
-    learned = LearnedConfig(checkpoint=checkpoint)
+    learned = LearnedConfig(**split_name(name)[1])
     faults, rays = config.lidar.changes(), config.lidar.n_rays
     if not faults:
         return LearnedController(learned, config.world, policy)

@@ -158,8 +158,9 @@ class PolicyNode(ShepherdNode):
             torch.ones_like(has_scan),
             self.memory,
             self.max_speed,
-            draws if self.options.sample else None,
+            draws if self.options.draws else None,
             skipped,
+            self.options.sample_std,
         )
         return torch.where(has_scan[:, None], command, 0.0)
 

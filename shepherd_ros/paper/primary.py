@@ -13,11 +13,6 @@ DEFAULT = {'strombom': 'policy:paper_network', 'reynolds': 'policy:reynolds'}
 PRIMARY = {'third': {'strombom': 'policy:third_strombom', 'reynolds': 'policy:third_reynolds'}}
 
 
-def has_primary(preset: str) -> bool:
-    """Return whether a policy was trained in a preset; else its primary ones are from default."""
-    return preset in ('', 'default', *PRIMARY)
-
-
 def has_critic(policy: str) -> bool:
     """Return whether a policy's critic was trained: only PPO does that."""
     return 'ppo' in training_of(policy)

@@ -42,6 +42,7 @@ def act(
     top_speed: float,
     draws: Callable[[], Tensor] | None = None,
     skipped: int = 0,
+    std: float = 0.0,
 ) -> tuple[Tensor, PolicyMemory]:
     """
     Return commands (..., H, 2) m/s, world frame, at most top_speed [m/s], and memory.
@@ -49,7 +50,8 @@ def act(
     read_ranges() returns the ranges (..., H, C, R) m of this step and is called at decisions only;
     between them commands are held. present (..., H) bool marks the shepherds that act; the others
     keep their command, zero at first. draws() returns standard normal numbers (..., H, 2) for
-    sampled actions; None: the mean. skipped is the number of steps since the last call that were
+    sampled actions; None: the mean. std [m/s] takes the place of the policy's own spread unless it
+    is 0. skipped is the number of steps since the last call that were
     not seen; a decision that was due in them is made now.
     """
     repeat, count = timing.action_repeat, memory['count'] + skipped
@@ -62,7 +64,8 @@ def act(
     frames = timing.frames.select(history).flatten(0, -4)[acting]
     numbers = None if draws is None else draws().reshape(-1, 2)[acting]
     command = memory['command'].clone()
-    chosen = clip_norm(policy.act_on(frames, first.reshape(-1)[acting], numbers), top_speed)
+    action = policy.act_on(frames, first.reshape(-1)[acting], numbers, std)
+    chosen = clip_norm(action, top_speed)
     command.view(-1, 2)[acting] = chosen
     return command, {'count': count + 1, 'history': history, 'first': first, 'command': command}
 

@@ -110,10 +110,16 @@ class Policy(nn.Module):
         return self.act_on(self.scale(frames).to(dtype), first, draws)
 
     @torch.no_grad()
-    def act_on(self, scaled: Tensor, first: Tensor, draws: Tensor | None = None) -> Tensor:
-        """Return act() for frames of scale(), (n, K, C, R), and their first ray (n,)."""
+    def act_on(
+        self, scaled: Tensor, first: Tensor, draws: Tensor | None = None, spread: float = 0.0
+    ) -> Tensor:
+        """
+        Return act() for frames of scale(), (n, K, C, R), and their first ray (n,).
+
+        spread [m/s] takes the place of the policy's own standard deviation unless it is 0.
+        """
         if not len(scaled):
             return torch.zeros(0, 2, device=scaled.device)
         mean, std = self.actor(self.arrange(scaled, first))
-        action = mean if draws is None else mean + std * draws
+        action = mean if draws is None else mean + (spread or std) * draws
         return rotate_by_ray(action, first, scaled.shape[-1])

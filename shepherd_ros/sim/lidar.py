@@ -15,9 +15,7 @@ from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor
 
-CONTACT_RANGE = (
-    0.01  # [m] range to a body that overlaps the sensor: not 0, which stands for nothing seen
-)
+CONTACT_RANGE = 0.01  # [m] to a body that overlaps the sensor: not 0, which stands for none seen
 FACING_SLACK = 1e-6  # [m] so that rays across, and all of a sensor in the very middle, face it
 
 
@@ -38,8 +36,8 @@ class LidarConfig(Config):
     )
     contact: str = option(
         'all',
-        'rays that return from a body that overlaps the sensor: all: every ray; facing: those '
-        'within 90 degrees of its middle, as from its rim, which says where it is (choice)',
+        'rays that return from a body that overlaps the sensor: all, or those facing its middle, '
+        'within 90 degrees, as from its rim (choice)',
         choices=('all', 'facing'),
         sparse=True,
     )
@@ -180,15 +178,10 @@ def _discs(state: WorldState, config: LidarConfig, shepherds: Tensor) -> Tensor:
     """Return the paper's channels of a lidar without faults, whose types hide nothing else."""
     if compilable(state.sheep, state.shepherds):
         return scan_discs(
-            state,
-            shepherds,
-            config.sheep_radius,
-            config.shepherd_radius,
-            config.n_rays,
-            config.range_max,
-            CONTACT_RANGE,
+            state, shepherds, config.sheep_radius, config.shepherd_radius, config.n_rays,
+            config.range_max, CONTACT_RANGE,
             FACING_SLACK if config.contact == 'facing' else torch.inf,
-        )
+        )  # fmt: skip
     indices = torch.arange(state.shepherds.shape[-2], device=shepherds.device)
 
     def channel(centers: Tensor, radius: Tensor, mask: Tensor, solid: bool = True) -> Tensor:

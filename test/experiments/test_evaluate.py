@@ -16,7 +16,13 @@ from shepherd_ros.experiments import campaign
 from shepherd_ros.experiments.campaign import plan, seed_batches, shard_of
 from shepherd_ros.experiments.catalog import EXPERIMENTS, experiments
 from shepherd_ros.experiments.cells import Cell, run_cell
-from shepherd_ros.experiments.methods import checkpoint_hash, full_name, make_method, timing_note
+from shepherd_ros.experiments.methods import (
+    checkpoint_hash,
+    checkpoint_of,
+    full_name,
+    make_method,
+    timing_note,
+)
 from shepherd_ros.experiments.results import read_results, value_names
 from shepherd_ros.experiments.runner import run_episodes
 from shepherd_ros.experiments.samples import Samples
@@ -144,6 +150,24 @@ def run_state() -> object:
     from shepherd_ros.sim.spawn import spawn
 
     return spawn(env_config(TINY).world, torch.tensor([3]))
+
+
+def test_a_spread_of_samples_is_part_of_a_policys_name_and_of_its_rows() -> None:
+    assert full_name('policy:general@0.080') == 'policy:general@0.08'
+    assert full_name('policy:@0.5') == 'policy:imitation@0.5'
+    assert checkpoint_of('policy:general@0.08') == 'general'
+    assert checkpoint_of('policy:a@b/c.safetensors') == 'a@b/c.safetensors'
+    assert checkpoint_hash('policy:general@0.08') == checkpoint_hash('policy:general')
+    with pytest.raises(ConfigError, match=r'sample_std is -1\.0'):
+        make_method('policy:general@-1', Setting())
+    mean, drawn = (run_cell(Cell(TINY, f'policy:imitation{x}', 0, 1)) for x in ('', '@0.3'))
+    assert drawn['controller'].to_pylist() == ['policy:imitation@0.3']
+    told = json.loads(drawn['config'][0].as_py())['controller']
+    assert (told['checkpoint'], told['sample_std']) == ('imitation', 0.3)
+    assert drawn['key'] != mean['key']
+    assert drawn['shepherd_path_length'] != mean['shepherd_path_length']
+    again = run_cell(Cell(TINY, 'policy:imitation@0.3', 0, 1))
+    assert again.equals(drawn)
 
 
 def test_a_policy_drives_at_any_time_step_and_says_which_times_it_uses(

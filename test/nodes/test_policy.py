@@ -46,12 +46,12 @@ def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def expected_states(
-    checkpoint: str, sample: bool, episodes: int = 1, dt: float = 0.5
+    checkpoint: str, episodes: int = 1, dt: float = 0.5, **options: Any
 ) -> list[WorldState]:
     """Return all states of episodes with seeds in a row, by env.step alone."""
     world = replace(world_preset(), episode_steps=STEPS, dt=dt)
     env = ShepherdEnv(EnvConfig(world=world), 1, lidar=False)
-    law = LearnedController(LearnedConfig(checkpoint=checkpoint, sample=sample), world)
+    law = LearnedController(LearnedConfig(checkpoint=checkpoint, **options), world)
     states = []
     for episode in range(episodes):
         env.reset(episode)
@@ -68,7 +68,7 @@ def expected_states(
 def test_fifty_steps_over_topics_are_fifty_calls_of_env_step(
     graph: Graph, checkpoint: str, sample: bool, dt: float
 ) -> None:
-    states = expected_states(checkpoint, sample, episodes=2, dt=dt)
+    states = expected_states(checkpoint, episodes=2, dt=dt, sample=sample)
     moved = (states[20].shepherds - states[0].shepherds).norm(dim=-1)
     assert moved.min() > 1.0
     track = graph.track()
@@ -81,13 +81,13 @@ def test_fifty_steps_over_topics_are_fifty_calls_of_env_step(
 
 
 def test_a_node_for_each_shepherd_drives_as_one_for_all(graph: Graph, checkpoint: str) -> None:
-    states = expected_states(checkpoint, sample=True)
+    states = expected_states(checkpoint, sample_std=0.2)
     track = graph.track()
     graph.host('lidar', shepherd_ids=[0, 1, 2], contact='facing')
     for h in range(3):
         graph.host(
             'policy', '-r', f'__node:=policy_{h}', shepherd_ids=[h], checkpoint=checkpoint,
-            sample=True,
+            sample_std=0.2,
         )  # fmt: skip
     graph.host('flock_sim', episode_steps=STEPS, episodes=1)
     graph.until(lambda: len(track.stamps) >= len(states), f'{len(states)} states')

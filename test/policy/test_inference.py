@@ -5,8 +5,14 @@ from __future__ import annotations
 from itertools import product
 import math
 
+import pytest
 from reference import make_state
-from shepherd_ros.controllers.policy_controller import LearnedConfig, LearnedController
+from shepherd_ros.config import ConfigError
+from shepherd_ros.controllers.policy_controller import (
+    LearnedConfig,
+    LearnedController,
+    sample_noise,
+)
 from shepherd_ros.policy import inference
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.env import ShepherdEnv
@@ -123,6 +129,24 @@ def test_the_controller_sees_what_the_environment_shows() -> None:
         cut = direct / direct.norm(dim=-1, keepdim=True).clamp(min=1.0)
         torch.testing.assert_close(command, cut, atol=1e-5, rtol=0)
         stack, *_ = env.step(command)
+
+
+def test_samples_of_a_given_spread_are_that_far_from_the_mean_and_the_same_again() -> None:
+    world = WorldConfig(shepherd_speed=9.0)  # nothing is cut
+    state = make_state(3, 10, 3, dtype=torch.float32)
+    policy = policy_of()
+
+    def act(std: float) -> Tensor:
+        controller = LearnedController(LearnedConfig(sample_std=std), world, policy)
+        return controller.act(state, controller.begin(state))[0]
+
+    mean, offset = act(0.0), sample_noise(state.seed, state.step, 3)
+    # the policy looks along the world's axes, so that draws do, too
+    for std in (0.08, 0.5):
+        torch.testing.assert_close(act(std), mean + std * offset)
+        assert torch.equal(act(std), act(std))
+    with pytest.raises(ConfigError, match=r'sample_std is 0.1 m/s: expected 0 with sample'):
+        LearnedConfig(sample=True, sample_std=0.1)
 
 
 def test_sampled_actions_are_a_function_of_seed_and_step() -> None:
