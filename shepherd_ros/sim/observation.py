@@ -58,10 +58,10 @@ class ObservationConfig(Config):
 
 def scaled_ranges(ranges: Tensor, config: ObservationConfig, range_max: float) -> Tensor:
     """Return ranges (...) m in the network's unit, at least range_min, free rays as none_value."""
+    unit, none = config.unit or range_max, ~ranges.isfinite()
     if config.range_min:
         ranges = ranges.clamp(min=config.range_min)
-    unit = config.unit or range_max
-    return torch.where(ranges.isfinite(), ranges / unit, config.none_value)
+    return torch.where(none, config.none_value, ranges / unit)
 
 
 def first_ray(ranges: Tensor, config: ObservationConfig) -> Tensor:
