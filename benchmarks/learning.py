@@ -42,6 +42,7 @@ RING = replace(
     network=NetworkConfig(padding='circular'),
 )
 RUN = PPORunConfig()
+PART = 128  # samples at a time, whose layers stay in the cache
 
 # ---- the network ----
 
@@ -84,6 +85,9 @@ def forms(rounds: int, size: int) -> list[dict[str, Any]]:
             works[f'{net}, plain, float32'] = lambda r=run, a=actor, x=x: r(plain, a, x)
             works[f'{net}, fast, float32'] = lambda r=run, a=actor, x=x: r(fast, a, x)
             works[f'{net}, fast, bfloat16'] = lambda r=run, a=actor, x=low: r(fast, a, x)
+            works[f'{net}, fast, bfloat16, {PART} at a time'] = lambda r=run, a=actor, x=low: [
+                r(fast, a, part) for part in x.split(PART)
+            ]
         times = in_turns(works, rounds)
         reference = times['types, plain, float32']
         rows += [rates(f'{name}: {k}', len(chosen), t, reference) for k, t in times.items()]

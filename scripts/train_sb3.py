@@ -19,26 +19,20 @@ except ImportError as error:
 
 
 def main(out: str, samples: int = 300_000, sheep: int = 10, shepherds: int = 1, rays: int = 128,
-         seed: int = 0, worlds: int = 64, steps: int = 200,
-         decision_interval: float = 4.0) -> None:  # fmt: skip
-    """Train, save OUT.zip, and say how good the mean action is in new worlds before and after."""
+         seed: int = 0, worlds: int = 64, steps: int = 200, hold: float = 4) -> None:  # fmt: skip
+    """Train, save OUT.zip, and say how good the mean action is; an action is held for HOLD [s]."""
     torch.set_num_threads(1)
     near = SpawnConfig(flock_distance_min=6.0, flock_distance_max=12.0)
     world = WorldConfig(sheep, shepherds, episode_steps=steps, goal_radius=5.0, spawn=near)
-    observation = ObservationConfig(
-        layout='ring', align='goal', unit=10.0, frame_interval=decision_interval
-    )
+    observation = ObservationConfig(layout='ring', align='goal', unit=10.0, frame_interval=hold)
     config = EnvConfig(world=world, lidar=LidarConfig(rays), observation=observation)
-    herding = HerdingVecEnv(config, worlds, decision_interval)
-    env = VecNormalize(VecMonitor(herding), norm_obs=False, gamma=0.96)
-    model = PPO('MlpPolicy', env, 5e-4, n_steps=steps // herding.hold, batch_size=400, n_epochs=6,
-                gamma=0.96, policy_kwargs={'features_extractor_class': LidarFeatures},
+    env = VecNormalize(VecMonitor(HerdingVecEnv(config, worlds, hold)), norm_obs=False, gamma=0.96)
+    model = PPO('MlpPolicy', env, 5e-4, n_steps=round(steps * world.dt / hold), batch_size=400,
+                n_epochs=6, gamma=0.96, policy_kwargs={'features_extractor_class': LidarFeatures},
                 seed=seed, device='cpu', verbose=1)  # fmt: skip
-    before = evaluate(model, config, 64, decision_interval, seed=10**6)
+    before = evaluate(model, config, 64, hold, seed=10**6)
     model.learn(samples).save(out)
-    print(
-        'before:', before, '\nafter: ', evaluate(model, config, 64, decision_interval, seed=10**6)
-    )
+    print('before:', before, '\nafter: ', evaluate(model, config, 64, hold, seed=10**6))
 
 
 if __name__ == '__main__':

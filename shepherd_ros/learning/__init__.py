@@ -1,6 +1,7 @@
 """Training of policies: PPO in the simulator, cloning from bags, DAgger with a teacher."""
 
 __all__ = [
+    'annealing',
     'clone',
     'dagger',
     'dagger_config',

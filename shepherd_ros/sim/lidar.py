@@ -66,15 +66,9 @@ class LidarConfig(Config):
 
 
 def cast_rays(
-    origin: Tensor,
-    centers: Tensor,
-    radius: Tensor,
-    mask: Tensor,
-    n_rays: int,
-    range_max: float,
-    solid: bool = True,
-    facing: bool = False,
-) -> Tensor:
+    origin: Tensor, centers: Tensor, radius: Tensor, mask: Tensor,
+    n_rays: int, range_max: float, solid: bool = True, facing: bool = False,
+) -> Tensor:  # fmt: skip
     """
     Return the range to the nearest disc along each ray, +inf where a ray is free.
 
