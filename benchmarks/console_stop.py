@@ -30,12 +30,18 @@ from shepherd_ros.cli.processes import isolate, running
 from timing import table
 
 LIMIT = 10.0  # [s] for zero to come
+TRIES_LIMIT = 120.0  # [s] for a key to move the shepherd
 NOTE = """
 window.WHEN = 0;
 const note = () => { WHEN = WHEN || performance.timeOrigin + performance.now(); };
 addEventListener('keyup', note, true);
 addEventListener('blur', note, true);
 document.addEventListener('visibilitychange', note, true);
+"""
+TAKE = """
+const button = document.querySelector('#shepherds .wide');
+if (DRIVE.held < 0 && button && !button.disabled) button.click();
+return team.confirmed;
 """
 NOW = 'WHEN = performance.timeOrigin + performance.now();'
 
@@ -158,13 +164,23 @@ def hold_key(driver: WebDriver, address: str) -> None:
     driver.execute_cdp_cmd('Page.bringToFront', {})
     driver.get(address)
     end = START_TIMEOUT
-    ready = 'return LIVE.frame !== null && document.querySelector("#shepherds .wide") !== null'
-    until(lambda: driver.execute_script(ready), 'the page is there', end)
+    until(lambda: driver.execute_script('return Boolean(LIVE.frame)'), 'the page is there', end)
     driver.execute_script(NOTE)
-    driver.find_element('css selector', '#shepherds li:nth-child(1) .wide').click()
-    until(lambda: driver.execute_script('return team.confirmed'), 'the shepherd is taken', end)
+    # a page that has no time for a sixth of a second gives the shepherd back
+    until(lambda: driver.execute_script(TAKE), 'the shepherd is taken', end)
     driver.execute_script('document.activeElement.blur(); WHEN = 0')
     ActionChains(driver).key_down('w').perform()
+
+
+def moves(driver: WebDriver, address: str, commands: Commands) -> bool:
+    """Hold a key and return whether the shepherd moves, as a busy page may have given it back."""
+    hold_key(driver, address)
+    try:
+        until(commands.moving, 'the shepherd moves', 3.0)
+    except TimeoutError:
+        return False
+    time.sleep(0.3)
+    return commands.moving()
 
 
 def stops(commands: Commands, address: str) -> dict[str, float]:
@@ -174,9 +190,7 @@ def stops(commands: Commands, address: str) -> dict[str, float]:
         driver = browser(Path(profile))
         try:
             for name, event in EVENTS.items():
-                hold_key(driver, address)
-                until(commands.moving, 'the shepherd moves')
-                time.sleep(0.3)
+                until(lambda: moves(driver, address, commands), 'the shepherd moves', TRIES_LIMIT)
                 when = event(driver)
                 until(lambda: not commands.moving(), 'it stands')
                 found[name] = 1000 * (commands.last_motion() - when)

@@ -295,6 +295,41 @@ def test_one_shepherd_stands_still_while_it_is_stopped(
     until(lambda: herding.driven[:2] == ['strombom'] * 2, 'it is driven again')
 
 
+def test_the_speed_by_hand_is_that_of_the_field_and_a_button_gives_back(
+    herding: Herding, page: ConsolePage
+) -> None:
+    page.write('#speed', '0.5' + Keys.ENTER)
+    page.take(0)
+    page.run('document.activeElement.blur()')
+    page.hold('w')
+    herding.until_moved(0, 0.0, 0.5 * SPEED)
+    page.let_go('w')
+    page.click('#give')
+    until(lambda: herding.driven[0] == 'strombom', 'it is given back')
+    assert not page.find('#driving').is_displayed()
+    page.write('#speed', str(SPEED) + Keys.ENTER)
+
+
+def test_layers_and_curves_are_those_that_are_ticked(herding: Herding, page: ConsolePage) -> None:
+    layers = 'const {channels, trails, names} = LIVE.shown; return [channels, trails, names]'
+    assert page.run(layers) == [[0, 1, 2], True, True]
+    for box in ('#channels label:nth-child(2) input', '#trails', '#names'):
+        page.click(box)
+    assert page.run(layers) == [[0, 2], False, False]
+    for box in ('#channels label:nth-child(2) input', '#trails', '#names'):
+        page.click(box)
+    assert page.run(layers) == [[0, 1, 2], True, True]
+    heads = "return [...document.querySelectorAll('#curves h2')].map((h) => h.firstChild.data)"
+    page.until(lambda: page.run(heads) != [], 'there are curves')
+    curves = page.run(heads)
+    page.click('#more summary')
+    box = page.click('#choice input:checked')
+    page.until(lambda: page.run(heads) == curves[1:], 'one curve less')
+    box.click()
+    page.until(lambda: page.run(heads) == curves, 'as before')
+    page.click('#more summary')
+
+
 def test_keys_drive_a_shepherd_in_both_frames(herding: Herding, page: ConsolePage) -> None:
     page.take(0)
     until(lambda: herding.driven[0] == 'console', 'the page drives')
@@ -438,6 +473,9 @@ def test_a_recording_is_made_listed_replayed_and_driven_on_by_another(
     assert drivers >= {'strombom', 'console'}
     *_, episode = iter_episodes(open_bag(bag))  # the first one was under way
 
+    page.sent()
+    page.click('#refresh')
+    assert [command['do'] for command in page.sent()] == ['list_bags']
     page.choose('#list li select', f'episode {episode.number}')
     page.click('#list li button')
     page.until(lambda: page.find('#player').is_displayed(), 'it is on the plane', JOB)
@@ -446,6 +484,7 @@ def test_a_recording_is_made_listed_replayed_and_driven_on_by_another(
     frame = episode.frames[middle]
     for drawn, places in zip(page.painted(), (frame.sheep, frame.shepherds), strict=True):
         assert_allclose(drawn, places, atol=0.001)
+    page.choose('#replay-speed', '25×')
     page.click('#replay-play')
     page.until(lambda: page.step() > middle, 'it plays')
     page.until(lambda: page.run('return !bags.playing'), 'it ends')
