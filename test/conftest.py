@@ -1,5 +1,5 @@
 """
-What tests have in common: threads, and for tests of nodes a DDS domain of their own.
+Fixtures of all tests: threads, and for tests of nodes a DDS domain of their own.
 
 The variables are set before rclpy is imported, here and in every process that a test starts.
 """

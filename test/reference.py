@@ -133,9 +133,9 @@ def strombom_flock(world: World, config: Any, dt: float) -> tuple[Array, Array]:
             + config.noise * turn[i, k]
             for k in range(2)
         ]
-        way = unit(*force)
-        if way != (0.0, 0.0):  # forces that cancel: the heading stays
-            new_heading[i] = way
+        displacement = unit(*force)
+        if displacement != (0.0, 0.0):  # forces that cancel: the heading stays
+            new_heading[i] = displacement
         new_sheep[i] = sheep[i] + config.speed * dt * new_heading[i]
     return new_sheep, new_heading
 
@@ -185,9 +185,11 @@ def reynolds_flock(world: World, config: Any, dt: float) -> tuple[Array, Array]:
         ]
         size = length(*force)
         cut = min(1.0, config.max_acceleration / size) if size > 0 else 0.0
-        way = unit(velocity[i, 0] + cut * force[0] * dt, velocity[i, 1] + cut * force[1] * dt)
-        if way != (0.0, 0.0):
-            new_heading[i] = way
+        displacement = unit(
+            velocity[i, 0] + cut * force[0] * dt, velocity[i, 1] + cut * force[1] * dt
+        )
+        if displacement != (0.0, 0.0):
+            new_heading[i] = displacement
         new_sheep[i] = sheep[i] + config.speed * dt * new_heading[i]
     return new_sheep, new_heading
 
@@ -295,8 +297,10 @@ def trajectory_metrics(worlds: list[World], episode_steps: int) -> dict[str, flo
 
     def team_path(end: int) -> float:
         teams = [w.shepherds for w in worlds[: end + 1]]
-        ways = [math.dist(a[h], b[h]) for a, b in itertools.pairwise(teams) for h in range(m)]
-        return sum(ways) / m
+        directions = [
+            math.dist(a[h], b[h]) for a, b in itertools.pairwise(teams) for h in range(m)
+        ]
+        return sum(directions) / m
 
     def variance(t: int, axis: int) -> float:
         return sum((a[axis] - centers[t][axis]) ** 2 for a in worlds[t].sheep) / n
@@ -333,8 +337,10 @@ def trajectory_metrics(worlds: list[World], episode_steps: int) -> dict[str, flo
 def shortest_shift(slots: list[float], angles: list[float]) -> list[float]:
     """Return the slots in ascending order, cyclically shifted so that the angles are nearest."""
     turned = [slots[k:] + slots[:k] for k in range(len(slots))]
-    ways = [sum(abs(wrap(s - a)) for s, a in zip(row, angles, strict=True)) for row in turned]
-    nearest = [round(1e4 * way) for way in ways]
+    directions = [
+        sum(abs(wrap(s - a)) for s, a in zip(row, angles, strict=True)) for row in turned
+    ]
+    nearest = [round(1e4 * displacement) for displacement in directions]
     return turned[nearest.index(min(nearest))] if turned else []
 
 
@@ -387,9 +393,11 @@ def detour(place: Point, target: Point, arc: float, stride: float) -> Point:
     choices = []
     for side in (a, -a):
         at = bearing(-x, -y) + side
-        way = (math.cos(at), math.sin(at))
-        left_over = abs(wrap(aim - bearing(x + stride * way[0], y + stride * way[1])))
-        choices.append((left_over, way))
+        displacement = (math.cos(at), math.sin(at))
+        left_over = abs(
+            wrap(aim - bearing(x + stride * displacement[0], y + stride * displacement[1]))
+        )
+        choices.append((left_over, displacement))
     return min(choices)[1]
 
 
@@ -610,12 +618,15 @@ def drover_controller(
             new = d + min(max(radius - d, -step), step)
             turn = min(max(wrap(place[h] - own[h]), -step / radius), step / radius)
             bend = own[h] + (turn if new >= radius - min(radius / 2, 0.5) else 0.0)
-            way = middle[0] + new * math.cos(bend) - x, middle[1] + new * math.sin(bend) - y
+            displacement = (
+                middle[0] + new * math.cos(bend) - x,
+                middle[1] + new * math.sin(bend) - y,
+            )
         else:
             target = (
                 middle[0] + radius * math.cos(place[h]), middle[1] + radius * math.sin(place[h])
             )  # fmt: skip
-            way = drover_detour((x, y), target, center, edge + config.standoff)
+            displacement = drover_detour((x, y), target, center, edge + config.standoff)
         px = py = 0.0
         for k, other in enumerate(world.shepherds):
             if k != h and config.separation:
@@ -624,7 +635,7 @@ def drover_controller(
                 # 45 degrees to the left of straight away: both turn alike
                 px += 2 * near * (ux - uy) / math.sqrt(2)
                 py += 2 * near * (ux + uy) / math.sqrt(2)
-        vx, vy = clipped(way[0] * config.gain, way[1] * config.gain, top)
+        vx, vy = clipped(displacement[0] * config.gain, displacement[1] * config.gain, top)
         commands[h] = clipped(vx + px * top, vy + py * top, top)
     return commands
 
@@ -757,11 +768,11 @@ def turned(vector: Tensor, c: float, s: float) -> Tensor:
     )
 
 
-def assert_near(got: Tensor, expected: Any, tolerance: float) -> None:
+def assert_near(result: Tensor, expected: Any, tolerance: float) -> None:
     """Fail unless equal within an absolute tolerance; infinities have to be in the same places."""
-    got = torch.as_tensor(got)
-    expected = torch.as_tensor(expected, dtype=got.dtype)
-    torch.testing.assert_close(got, expected, rtol=0.0, atol=tolerance)
+    result = torch.as_tensor(result)
+    expected = torch.as_tensor(expected, dtype=result.dtype)
+    torch.testing.assert_close(result, expected, rtol=0.0, atol=tolerance)
 
 
 def assert_same_world(a: WorldState, b: WorldState) -> None:

@@ -1,4 +1,4 @@
-"""What is committed is what `make generate` would write."""
+"""Committed files are those that `make generate` would write."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a user gets from pip install and from colcon build, each from a fresh copy of the files."""
+"""pip install and colcon build, each from a fresh copy of the files."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ Run = Callable[..., str]
 def environment(*without: str, **changes: str) -> dict[str, str]:
     """Return variables for a process of a user's: nothing of this checkout, nobody to talk to."""
     own = ('AMENT_PREFIX_PATH', 'COLCON_PREFIX_PATH', 'PYTHONPATH', 'VIRTUAL_ENV')
-    kept = {key: value for key, value in os.environ.items() if key not in (*own, *without)}
-    return kept | {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF'} | changes
+    stored = {key: value for key, value in os.environ.items() if key not in (*own, *without)}
+    return stored | {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF'} | changes
 
 
 def run(command: Iterable[str | Path], cwd: Path, env: dict[str, str]) -> str:
@@ -124,8 +124,8 @@ def test_pip_code_and_shared_files_are_found_from_anywhere(
 
 def test_code_of_a_checkout_uses_the_files_of_the_checkout(prefix: Path, tmp_path: Path) -> None:
     env = environment(*BOOTSTRAP, AMENT_PREFIX_PATH=str(prefix))
-    told = run([sys.executable, '-c', FIND.format(FILES[0])], tmp_path, env)
-    assert Path(told.strip()) == ROOT / FILES[0]
+    output = run([sys.executable, '-c', FIND.format(FILES[0])], tmp_path, env)
+    assert Path(output.strip()) == ROOT / FILES[0]
 
 
 # ---- colcon build ----

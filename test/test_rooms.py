@@ -97,7 +97,7 @@ def test_nothing_may_import_what_it_does_not(graph: grimp.ImportGraph) -> None:
             ), f'{importer} imports nothing of {rule["id"]}'
 
 
-def ways() -> list[list[str]]:
+def directions() -> list[list[str]]:
     """Return the chains of calls in CONTRIBUTING.md, from the outermost file to each file."""
     text = (ROOT / 'CONTRIBUTING.md').read_text(encoding='utf-8')
     chains: list[list[str]] = []
@@ -110,8 +110,8 @@ def ways() -> list[list[str]]:
 def test_the_ways_through_the_code_are_calls_that_enter_no_room_twice(
     graph: grimp.ImportGraph,
 ) -> None:
-    assert len(ways()) > 50
-    for chain in ways():
+    assert len(directions()) > 50
+    for chain in directions():
         names = [
             'shepherd_ros.' + file.removesuffix('.py').removesuffix('/__init__').replace('/', '.')
             for file in chain

@@ -27,10 +27,10 @@ VERBS = {
 @pytest.mark.parametrize('name', VERBS)
 def test_a_script_is_its_verb(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     path = SCRIPTS / f'{name}.py'
-    heard = []
+    received = []
 
     def main(arguments: list[str] | None = None) -> int:
-        heard.append(sys.argv[1:] if arguments is None else arguments)
+        received.append(sys.argv[1:] if arguments is None else arguments)
         return 7
 
     monkeypatch.setattr(cli, 'main', main)
@@ -38,7 +38,7 @@ def test_a_script_is_its_verb(name: str, monkeypatch: pytest.MonkeyPatch) -> Non
     with pytest.raises(SystemExit) as end:
         runpy.run_path(str(path), run_name='__main__')
     assert end.value.code == 7
-    assert heard == [[*VERBS[name], '--out', 'place', 'bag']]
+    assert received == [[*VERBS[name], '--out', 'place', 'bag']]
     text = path.read_text(encoding='utf-8')
     assert f'the same as `shepherd {" ".join(VERBS[name])}`' in text
     assert text.startswith('#!/usr/bin/env python3\n')

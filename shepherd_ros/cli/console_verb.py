@@ -60,13 +60,13 @@ class LiveConsole(OneSetting):
     @staticmethod
     def _follow(processes: Running) -> None:
         """Print the address once it is known; return when the world has ended."""
-        told = False
+        shown = False
         while not processes.ended('flock_sim'):
             processes.check()
-            if not told:
+            if not shown:
                 log = (processes.logs / 'console.log').read_text(errors='replace')
                 if found := re.search(r'open (http\S+)', log):
-                    told = True
+                    shown = True
                     domain = os.environ['ROS_DOMAIN_ID']
                     print(f'open {found[1]} (ROS_DOMAIN_ID={domain}; Ctrl-C ends it)', flush=True)
             time.sleep(_LOOK_PERIOD)

@@ -59,11 +59,11 @@ class Counterfactual:
         from shepherd_ros.view.animation import animate
         from shepherd_ros.view.picture import draw_tracks
 
-        asked = chosen(self.controller, self.params, self.params_file)
-        asked.config()  # refuses what cannot be, before the bag is read
+        choice = chosen(self.controller, self.params, self.params_file)
+        choice.config()  # refuses what cannot be, before the bag is read
         recorded = one_episode(self.bag, self.namespace, self.episode)
         at = self._step(stamps := [frame.stamp_ns * 1e-9 for frame in recorded.frames])
-        controller = asked.make(WorldConfig.from_dict(recorded.world))
+        controller = choice.make(WorldConfig.from_dict(recorded.world))
         claimed_folder('--out', self.out, '', self.overwrite)
         folder = self.out / 'bag'
         if self.overwrite and (folder / FILE).exists():
@@ -74,7 +74,7 @@ class Counterfactual:
                 recorded,
                 at,
                 controller,
-                asked.noise_std,
+                choice.noise_std,
                 folder,
                 lambda worlds: show(next(driven)),
             )

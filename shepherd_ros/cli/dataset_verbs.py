@@ -52,9 +52,9 @@ class _Info(_Common):
         """Print it."""
         from shepherd_ros.datasets.examples import count_examples, driver_names
 
-        asked = self.frames(), self.labels, driver_names(self.drivers)
+        options = self.frames(), self.labels, driver_names(self.drivers)
         with progress('reading') as show:
-            report = count_examples(self.places, *asked, show)
+            report = count_examples(self.places, *options, show)
         print(json.dumps(report.to_dict(), indent=1) if self.json else report.text())
         return 0
 
@@ -70,9 +70,9 @@ class _Build(_Common):
         """Write it and print what was found."""
         from shepherd_ros.datasets.examples import build_dataset, driver_names
 
-        asked = self.frames(), self.labels, driver_names(self.drivers)
+        options = self.frames(), self.labels, driver_names(self.drivers)
         with progress('reading') as show:
-            report = build_dataset(self.places, self.out, *asked, show)
+            report = build_dataset(self.places, self.out, *options, show)
         print(json.dumps(report.to_dict(), indent=1) if self.json else report.text())
         if not self.json:
             print(f'\nwrote {self.out}')

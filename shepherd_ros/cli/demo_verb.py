@@ -69,8 +69,8 @@ class Demo(OneSetting):
         # rclpy reads the environment when it is imported
         from shepherd_ros.nodes.episode_probe import open_episode_probe
 
-        with running(self.out / 'logs') as processes, open_episode_probe() as (probe, hear):
-            self._herd(stack, setting.steps, processes, probe, hear)
+        with running(self.out / 'logs') as processes, open_episode_probe() as (probe, spin):
+            self._herd(stack, setting.steps, processes, probe, spin)
         console.print(self._table(probe.metrics))
         if any(isnan(value) for value in probe.metrics.values()):
             console.print('nan: the node metrics has not heard every state')
@@ -100,13 +100,13 @@ class Demo(OneSetting):
         steps: int,
         processes: Running,
         probe: EpisodeProbe,
-        hear: Callable[[float], None],
+        spin: Callable[[float], None],
     ) -> None:
         """Start everything, the controller last, and follow the episode to its end."""
         with progress('herding', steps) as show:
             show(0, text='(processes start)')
             processes.start(stack[:-1])
-            self._until(lambda: probe.is_complete, processes, probe, hear)
+            self._until(lambda: probe.is_complete, processes, probe, spin)
             processes.start(stack[-1:])
 
             def done() -> bool:
@@ -119,10 +119,10 @@ class Demo(OneSetting):
                 show(max(probe.step, 0), text=text)
                 return processes.ended('flock_sim')
 
-            self._until(done, processes, probe, hear)
+            self._until(done, processes, probe, spin)
             limit = time.monotonic() + 1.0  # the last words of metrics and lidar
             while time.monotonic() < limit:
-                hear(0.1)
+                spin(0.1)
             done()
         if len(probe.states) != steps + 1:
             raise UserError(
@@ -135,12 +135,12 @@ class Demo(OneSetting):
         done: Callable[[], bool],
         processes: Running,
         probe: EpisodeProbe,
-        hear: Callable[[float], None],
+        spin: Callable[[float], None],
     ) -> None:
         """Hear until done; raise UserError if a process fails or nothing is heard for long."""
         news, since, checked = -1, time.monotonic(), 0.0
         while True:
-            hear(0.1)
+            spin(0.1)
             now = time.monotonic()
             if now - checked > 0.1:
                 checked = now

@@ -29,14 +29,14 @@ class _Lines:
     """Lines for a pipe or a file: none for work that is soon over."""
 
     def __init__(self, what: str, total: float | None) -> None:
-        self.what, self.total, self.told = what, total, time.monotonic()
+        self.what, self.total, self.shown_at = what, total, time.monotonic()
 
     def show(self, done: float, total: float | None = None, text: str = '') -> None:
         """Print a line if the last one is long ago."""
         self.total = self.total if total is None else total
-        if time.monotonic() - self.told < LINE_PERIOD:
+        if time.monotonic() - self.shown_at < LINE_PERIOD:
             return
-        self.told = time.monotonic()
+        self.shown_at = time.monotonic()
         share = f'{done / self.total:.0%}' if self.total else f'{done:g}'
         print(f'{self.what}: {share} {text}'.rstrip(), file=sys.stderr, flush=True)
 

@@ -58,17 +58,17 @@ class Replay:
 
         if not 0 <= self.tolerance < float('inf'):
             raise UserError(f'--tolerance is {self.tolerance}: expected 0 or more [m/s]')
-        asked = chosen(self.controller, self.params, self.params_file)
-        if asked.parameters.get('stamped') is False:
+        choice = chosen(self.controller, self.params, self.params_file)
+        if choice.parameters.get('stamped') is False:
             raise UserError('stamped is False: expected commands with the stamp of their state')
-        if self.without_ros or asked.of_core or executable_path(self.controller) is None:
-            asked.config()  # refuses what cannot be
+        if self.without_ros or choice.of_core or executable_path(self.controller) is None:
+            choice.config()  # refuses what cannot be
         result = Comparison(self.tolerance, self.shepherds)
         with progress('comparing') as show:
             if self.without_ros:
-                self._ask_law(asked, result, show)
+                self._ask_law(choice, result, show)
             else:
-                self._ask_node(asked, result, show)
+                self._ask_node(choice, result, show)
         print(f'{self.controller} on {self.bag}')
         print(result.text())
         return 0 if result.ok else _EXIT_DIFFERENT
@@ -104,20 +104,20 @@ class Replay:
                 f'`shepherd bag info {self.bag}` lists them'
             )
 
-    def _ask_law(self, asked: Chosen, result: Comparison, show: Show) -> None:
+    def _ask_law(self, choice: Chosen, result: Comparison, show: Show) -> None:
         """Compare what the law says."""
         from shepherd_ros.recordings.replay import states_of
         from shepherd_ros.recordings.replay_check import law_commands
         from shepherd_ros.sim.world import WorldConfig
 
         for episode, frames, _ in self._episodes(result):
-            controller = asked.make(WorldConfig.from_dict(episode.world))
-            answers = law_commands(states_of(episode, frames), controller, asked.noise_std)
+            controller = choice.make(WorldConfig.from_dict(episode.world))
+            answers = law_commands(states_of(episode, frames), controller, choice.noise_std)
             for frame, (_, command) in zip(frames, answers, strict=True):
                 result.add(episode, frame, dict(enumerate(command.double().numpy())))
                 show(result.compared, text='commands')
 
-    def _ask_node(self, asked: Chosen, result: Comparison, show: Show) -> None:
+    def _ask_node(self, choice: Chosen, result: Comparison, show: Show) -> None:
         """Compare what the node says."""
         isolate(os.environ)
         try:  # now, as rclpy reads the environment when it is imported
@@ -134,7 +134,7 @@ class Replay:
             for episode, frames, group in self._episodes(result):
                 if not processes.started:
                     own = {'frame_id': episode.frame_id, 'shepherd_ids': self._team()}
-                    processes.start([asked.process(own)])
+                    processes.start([choice.process(own)])
                 probe.begin(episode)
                 for frame in frames:
                     wanted = set(self.shepherds or range(episode.n_shepherds)) - silent

@@ -87,41 +87,41 @@ class Archive:
         self.recording.stop(answer)
 
     def _list_bags(self, session: Session, answer: Answer) -> None:
-        def heard(job: int, line: dict[str, Any]) -> None:
+        def on_line(job: int, line: dict[str, Any]) -> None:
             if 'result' in line:
                 self.desk.tell('bags', bags=line['result'])
                 answer(True, f'{len(line["result"])} bags')
             elif 'error' in line:
                 answer(False, line['error'])
 
-        self.jobs.start('bags', {'record_dir': str(self.record_dir)}, heard)
+        self.jobs.start('bags', {'record_dir': str(self.record_dir)}, on_line)
 
-    def _replay(self, session: Session, answer: Answer, bag: str, **asked: Any) -> None:
-        kind = 'counterfactual' if 'controller' in asked else 'replay'
-        asked |= {'bag': bag, 'path': str(bag_path(self.record_dir, bag))}
+    def _replay(self, session: Session, answer: Answer, bag: str, **request: Any) -> None:
+        kind = 'counterfactual' if 'controller' in request else 'replay'
+        request |= {'bag': bag, 'path': str(bag_path(self.record_dir, bag))}
 
-        def heard(job: int, line: dict[str, Any]) -> None:
-            self._hear(session, kind, job, line)
+        def on_line(job: int, line: dict[str, Any]) -> None:
+            self._on_job_line(session, kind, job, line)
 
-        job = self.jobs.start(kind, asked, heard)
+        job = self.jobs.start(kind, request, on_line)
         self.owners[job] = session.number
         answer(True, f'job {job}')
 
-    def _hear(self, session: Session, kind: str, job: int, line: dict[str, Any]) -> None:
+    def _on_job_line(self, session: Session, kind: str, job: int, line: dict[str, Any]) -> None:
         """Tell a page what a job of its own says."""
         if session.number not in self.desk.sessions:
             return
-        said = {'done': 0.0, 'text': '', 'result': None, 'state': 'running'} | line
+        status = {'done': 0.0, 'text': '', 'result': None, 'state': 'running'} | line
         if 'error' in line:
-            said |= {'state': 'failed', 'text': said.pop('error')}
+            status |= {'state': 'failed', 'text': status.pop('error')}
         elif 'result' in line:
-            said |= {'state': 'done', 'done': 1.0}
+            status |= {'state': 'done', 'done': 1.0}
             names = self.files[session.number]
             names += [track['url'] for track in line['result']['tracks']]
             self._delete(names[:-FILES_KEPT])
             del names[:-FILES_KEPT]
-        session.tell(f'job {job}', message_text('job', job=job, kind=kind, **said))
-        if said['state'] != 'running':
+        session.tell(f'job {job}', message_text('job', job=job, kind=kind, **status))
+        if status['state'] != 'running':
             self.owners.pop(job, None)
 
     def _cancel(self, session: Session, answer: Answer, job: int) -> None:

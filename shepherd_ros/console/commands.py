@@ -32,8 +32,8 @@ class CommandField:
         """Return the field as plain data."""
         kind = type(self.example).__name__
         limits = {'low': self.low, 'high': self.high, 'choices': list(self.choices)}
-        said = {key: value for key, value in limits.items() if value not in (None, [])}
-        return {'type': kind, 'doc': self.doc, 'optional': self.optional, **said}
+        bounds = {key: value for key, value in limits.items() if value not in (None, [])}
+        return {'type': kind, 'doc': self.doc, 'optional': self.optional, **bounds}
 
 
 @dataclass(frozen=True)

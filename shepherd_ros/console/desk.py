@@ -78,8 +78,8 @@ class ConsoleDesk:
             session.tell('curves', message_text('curves', **curves))
         self._show_to(session)
         self._tell_pages()
-        for hear in self.on_open:
-            hear(session)
+        for callback in self.on_open:
+            callback(session)
 
     def _hello(self, session: Session) -> str:
         """Return the first message of a page."""
@@ -114,8 +114,8 @@ class ConsoleDesk:
         self.drives.release(session.number)
         self._hear_watched()
         self._tell_pages()
-        for hear in self.on_close:
-            hear(session)
+        for callback in self.on_close:
+            callback(session)
 
     def tell(self, kind: str, /, **content: Any) -> None:
         """Tell all pages, and those that open later."""

@@ -15,7 +15,7 @@ class Hold:
     """A shepherd that a page drives."""
 
     page: int
-    heard: float  # when its last command came [s]
+    last_command: float  # when its last command came [s]
 
 
 class Drives:
@@ -52,8 +52,8 @@ class Drives:
 
     def release(self, page: int, shepherd: int | None = None) -> bool:
         """Stop what a page drives, one shepherd or all, and give it back; return if any."""
-        mine = [h for h, hold in self.holds.items() if hold.page == page]
-        return self._stop([h for h in mine if shepherd in (None, h)])
+        held = [h for h, hold in self.holds.items() if hold.page == page]
+        return self._stop([h for h in held if shepherd in (None, h)])
 
     def drop(self, shepherd: int | None) -> bool:
         """Stop one shepherd or all, whatever page drives it, and give it back; return if any."""
@@ -61,7 +61,9 @@ class Drives:
 
     def expire(self, now: float) -> bool:
         """Stop and give back what has had no command for too long; return if any."""
-        return self._stop([h for h, hold in self.holds.items() if now - hold.heard > DEAD_MAN])
+        return self._stop(
+            [h for h, hold in self.holds.items() if now - hold.last_command > DEAD_MAN]
+        )
 
     def _stop(self, shepherds: list[int]) -> bool:
         for h in shepherds:

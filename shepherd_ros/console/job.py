@@ -29,24 +29,24 @@ def _say(**content: Any) -> None:
     print(json.dumps(content, allow_nan=False), flush=True)
 
 
-def _list_bags(asked: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _list_bags(request: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return what message `bags` tells of each bag in a folder, newest first."""
     from shepherd_ros.recordings.grouping import announced_episodes, namespaces
     from shepherd_ros.rosbag2.errors import BagError
     from shepherd_ros.rosbag2.reader import open_bag
 
     found = []
-    for path in Path(asked['record_dir']).glob('*'):
+    for path in Path(request['record_dir']).glob('*'):
         if path.is_symlink() or not (path.suffix == '.mcap' or any(path.glob('*.mcap'))):
             continue
-        said: dict[str, Any] = {'name': path.name, 'episodes': [], 'start': path.stat().st_mtime}
+        entry: dict[str, Any] = {'name': path.name, 'episodes': [], 'start': path.stat().st_mtime}
         try:
             bag = open_bag(path)
-            told = [
+            announced = [
                 info for space in namespaces(bag) for _, info in announced_episodes(bag, space)
             ]
-            seen = {(info.number, info.seed): info for info in told}
-            said |= {
+            seen = {(info.number, info.seed): info for info in announced}
+            entry |= {
                 'size': sum(storage.size for storage in bag.storages),
                 'start': bag.start_ns * 1e-9,
                 'duration': (bag.end_ns - bag.start_ns) * 1e-9,
@@ -63,8 +63,8 @@ def _list_bags(asked: Mapping[str, Any]) -> list[dict[str, Any]]:
                 ],
             }
         except (BagError, OSError) as error:
-            said['error'] = str(error)
-        found.append(said)
+            entry['error'] = str(error)
+        found.append(entry)
     return sorted(found, key=lambda bag: -bag['start'])
 
 
@@ -103,16 +103,16 @@ def _written(episode: RecordedEpisode, title: str, folder: str) -> str:
     return name
 
 
-def _replay(asked: Mapping[str, Any]) -> dict[str, Any]:
+def _replay(request: Mapping[str, Any]) -> dict[str, Any]:
     """Return where the record of an episode is."""
     _say(done=0.1, text='reading the bag')
-    episode = _episode(asked['path'], asked.get('episode', 0))
+    episode = _episode(request['path'], request.get('episode', 0))
     _say(done=0.5, text='packing the episode')
-    title = f'{asked["bag"]}, episode {episode.number}'
-    return {'tracks': [{'name': title, 'url': _written(episode, title, asked['folder'])}]}
+    title = f'{request["bag"]}, episode {episode.number}'
+    return {'tracks': [{'name': title, 'url': _written(episode, title, request['folder'])}]}
 
 
-def _counterfactual(asked: Mapping[str, Any]) -> dict[str, Any]:
+def _counterfactual(request: Mapping[str, Any]) -> dict[str, Any]:
     """Return where the records of an episode and of its other future are."""
     from shepherd_ros.experiments.methods import full_name, method_in
     from shepherd_ros.recordings.counterfactual import record_future
@@ -122,33 +122,33 @@ def _counterfactual(asked: Mapping[str, Any]) -> dict[str, Any]:
     from shepherd_ros.sim.world import WorldConfig
 
     _say(done=0.0, text='reading the bag')
-    recorded = _episode(asked['path'], asked.get('episode', 0))
+    recorded = _episode(request['path'], request.get('episode', 0))
     steps = [frame.step for frame in recorded.frames]
-    if asked['step'] not in steps:
-        raise ConfigError(f'step is {asked["step"]}: expected one of {steps[0]} to {steps[-1]}')
-    at = steps.index(asked['step'])
+    if request['step'] not in steps:
+        raise ConfigError(f'step is {request["step"]}: expected one of {steps[0]} to {steps[-1]}')
+    at = steps.index(request['step'])
     config = EnvConfig(world=WorldConfig.from_dict(recorded.world))
-    controller = method_in(config, full_name(asked['controller']))
+    controller = method_in(config, full_name(request['controller']))
     made, total = 0, recorded.episode_steps + 1
 
     def on_step(worlds: int) -> None:
         nonlocal made
         made += worlds
         if made % max(total // 50, 1) == 0:
-            _say(done=min(0.9, 0.9 * made / total), text=f'{asked["controller"]} drives on')
+            _say(done=min(0.9, 0.9 * made / total), text=f'{request["controller"]} drives on')
 
-    folder = Path(asked['folder'], secrets.token_hex(12))
+    folder = Path(request['folder'], secrets.token_hex(12))
     record_future(recorded, at, controller, 0.0, folder, on_step)
     (future,) = iter_episodes(open_bag(folder))
     return {
         'tracks': [
-            {'name': 'recorded', 'url': _written(recorded, 'recorded', asked['folder'])},
+            {'name': 'recorded', 'url': _written(recorded, 'recorded', request['folder'])},
             {
-                'name': asked['controller'],
-                'url': _written(future, asked['controller'], asked['folder']),
+                'name': request['controller'],
+                'url': _written(future, request['controller'], request['folder']),
             },
         ],
-        'parting': asked['step'],
+        'parting': request['step'],
         'table': _table(recorded, future),
     }
 
@@ -169,7 +169,7 @@ def _table(recorded: RecordedEpisode, future: RecordedEpisode) -> list[dict[str,
     ]
 
 
-def _catalog(asked: Mapping[str, Any]) -> dict[str, list[str]]:
+def _catalog(request: Mapping[str, Any]) -> dict[str, list[str]]:
     """Return the controllers and checkpoints that there are."""
     from shepherd_ros.controllers import CONTROLLERS
     from shepherd_ros.policy.checkpoint import shipped_checkpoints
@@ -179,11 +179,11 @@ def _catalog(asked: Mapping[str, Any]) -> dict[str, list[str]]:
     return {'controllers': names + [f'policy:{name}' for name in shipped], 'checkpoints': shipped}
 
 
-def _map_values(asked: Mapping[str, Any]) -> None:
+def _map_values(request: Mapping[str, Any]) -> None:
     """Map the values of each state that comes as a line."""
     from shepherd_ros.console.job_values import map_states
 
-    map_states(asked, _say)
+    map_states(request, _say)
 
 
 JOB_KINDS: dict[str, Callable[[Mapping[str, Any]], Any]] = {
@@ -198,9 +198,9 @@ JOB_KINDS: dict[str, Callable[[Mapping[str, Any]], Any]] = {
 def main() -> int:
     """Do the job that the command line names."""
     os.nice(NICENESS)
-    asked = json.loads(sys.stdin.readline())
+    request = json.loads(sys.stdin.readline())
     try:
-        result = JOB_KINDS[sys.argv[1]](asked)
+        result = JOB_KINDS[sys.argv[1]](request)
         if result is not None:
             _say(result=result)
     except (ConfigError, OSError) as error:  # BagError is one of them

@@ -14,12 +14,12 @@ from shepherd_ros.sim.state import WorldState
 import torch
 
 
-def map_states(asked: Mapping[str, Any], say: Callable[..., None]) -> None:
+def map_states(request: Mapping[str, Any], say: Callable[..., None]) -> None:
     """Map each state that comes as a line, until no more come; say(**content) tells of it."""
     import torch
 
     torch.set_num_threads(1)
-    policy, h = loaded(asked['checkpoint']), asked['shepherd']
+    policy, h = loaded(request['checkpoint']), request['shepherd']
     say(text='ready')
     for line in sys.stdin:
         moment = json.loads(line)

@@ -17,25 +17,27 @@ MOST_JOBS = 3  # at a time
 LONGEST_LINE = 2**24  # [bytes] that a job says at once
 LAST_WORDS = 2000  # [bytes] of what a job has written to stderr, if it fails
 JOB_END_TIMEOUT = 3.0  # [s] for a job to end
-Heard = Callable[[dict[str, Any]], None]
+OnLine = Callable[[dict[str, Any]], None]
 
 
 class Job:
     """
     A process that does one thing: it reads JSON lines and writes JSON lines.
 
-    heard(line) is called in the loop for each line; the last has `result` or `error`.
+    on_line(line) is called in the loop for each line; the last has `result` or `error`.
     """
 
-    def __init__(self, kind: str, asked: Mapping[str, Any], folder: Path, heard: Heard) -> None:
+    def __init__(
+        self, kind: str, request: Mapping[str, Any], folder: Path, on_line: OnLine
+    ) -> None:
         """Begin in the running loop; results are files in a folder."""
-        self.kind, self.heard = kind, heard
+        self.kind, self.on_line = kind, on_line
         self.process: asyncio.subprocess.Process | None = None
         self.ended = False
         self._errors = folder / f'{kind}_{id(self)}.log'
-        self.work = asyncio.create_task(self._run(dict(asked)))
+        self.work = asyncio.create_task(self._run(dict(request)))
 
-    async def _run(self, asked: dict[str, Any]) -> None:
+    async def _run(self, request: dict[str, Any]) -> None:
         last: dict[str, Any] = {}
         try:
             with self._errors.open('wb') as errors:
@@ -44,16 +46,16 @@ class Job:
                     stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=errors,
                     limit=LONGEST_LINE, start_new_session=True,
                 )  # fmt: skip
-            self.say(asked)
+            self.say(request)
             assert self.process.stdout is not None
             async for line in self.process.stdout:
                 last = json.loads(line)
-                self.heard(last)
+                self.on_line(last)
             await self.process.wait()
             if not last.keys() & {'result', 'error'}:
-                self.heard({'error': self._last_words()})
+                self.on_line({'error': self._last_words()})
         except (OSError, ValueError) as error:
-            self.heard({'error': f'{self.kind} cannot be done: {error}'})
+            self.on_line({'error': f'{self.kind} cannot be done: {error}'})
         finally:
             self.ended = True
             self._errors.unlink(missing_ok=True)
@@ -63,8 +65,8 @@ class Job:
 
     def _last_words(self) -> str:
         words = self._errors.read_bytes()[-LAST_WORDS:].decode(errors='replace').split('\n')
-        said = next((word for word in reversed(words) if word.strip()), 'it says nothing')
-        return f'{self.kind} has ended without a result: {said}'
+        last_line = next((word for word in reversed(words) if word.strip()), 'it says nothing')
+        return f'{self.kind} has ended without a result: {last_line}'
 
     def say(self, content: Mapping[str, Any]) -> None:
         """Send a line, unless the process is gone."""
@@ -93,8 +95,8 @@ class Jobs:
         self.running: dict[int, Job] = {}
         self._numbers = 0
 
-    def start(self, kind: str, asked: Mapping[str, Any], heard: Callable[..., None]) -> int:
-        """Start a job and return its number; heard(number, line) hears what it says."""
+    def start(self, kind: str, request: Mapping[str, Any], on_line: Callable[..., None]) -> int:
+        """Start a job and return its number; on_line(number, line) gets its output."""
         self.running = {n: job for n, job in self.running.items() if not job.ended}
         if len(self.running) >= MOST_JOBS:
             raise ConfigError(
@@ -102,8 +104,8 @@ class Jobs:
             )
         self._numbers += 1
         number = self._numbers
-        asked = dict(asked) | {'folder': str(self.folder)}
-        self.running[number] = Job(kind, asked, self.folder, lambda line: heard(number, line))
+        request = dict(request) | {'folder': str(self.folder)}
+        self.running[number] = Job(kind, request, self.folder, lambda line: on_line(number, line))
         return number
 
     def cancel(self, number: int) -> bool:

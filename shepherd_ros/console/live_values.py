@@ -31,7 +31,7 @@ class LiveValues:
         """Begin without a map."""
         self.desk, self.jobs, self.moment = desk, jobs, moment
         self.job = 0  # number, 0: none
-        self.asked: dict[str, Any] = {}
+        self.request: dict[str, Any] = {}
         self.last: dict[str, Any] | None = None  # state that was mapped
         self.ready = False  # whether the process waits for a state
         desk.own['value_map'] = self._value_map
@@ -40,8 +40,8 @@ class LiveValues:
 
     def _say(self, text: str, **content: Any) -> None:
         on = bool(self.job)
-        asked = {'checkpoint': None, 'shepherd': None} | self.asked
-        self.desk.tell('value_map', on=on, text=text, **asked, **(NO_VALUES | content))
+        request = {'checkpoint': None, 'shepherd': None} | self.request
+        self.desk.tell('value_map', on=on, text=text, **request, **(NO_VALUES | content))
 
     def _value_map(
         self,
@@ -55,8 +55,8 @@ class LiveValues:
         if on:
             if self.moment(shepherd) is None:
                 raise ConfigError(f'no state with a shepherd {shepherd} is there to be mapped yet')
-            self.asked = {'checkpoint': checkpoint, 'shepherd': shepherd}
-            self.job = self.jobs.start('value_map', self.asked, self._heard)
+            self.request = {'checkpoint': checkpoint, 'shepherd': shepherd}
+            self.job = self.jobs.start('value_map', self.request, self._on_line)
             self._say(text='loading the checkpoint')
             asyncio.get_running_loop().call_later(ASK_PERIOD, self._ask, self.job)
         answer(True, f'values of {checkpoint}' if on else 'no value map')
@@ -64,7 +64,7 @@ class LiveValues:
     def _end(self, text: str = '') -> None:
         if self.job:
             self.jobs.cancel(self.job)
-        self.job, self.last, self.ready, self.asked = 0, None, False, {}
+        self.job, self.last, self.ready, self.request = 0, None, False, {}
         self._say(text=text)
 
     def _closed(self, session: Session) -> None:
@@ -76,12 +76,12 @@ class LiveValues:
         if job != self.job or job not in self.jobs.running:
             return
         asyncio.get_running_loop().call_later(ASK_PERIOD, self._ask, job)
-        moment = self.moment(self.asked['shepherd']) if self.ready else None
+        moment = self.moment(self.request['shepherd']) if self.ready else None
         if moment is not None and moment != self.last:
             self.last, self.ready = moment, False
             self.jobs.running[job].say(moment)
 
-    def _heard(self, job: int, line: dict[str, Any]) -> None:
+    def _on_line(self, job: int, line: dict[str, Any]) -> None:
         if job != self.job:
             return
         if 'error' in line:

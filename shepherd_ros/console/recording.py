@@ -82,8 +82,8 @@ class Recording:
         """Return how many messages are in the bag, which were lost, and whether it is whole."""
         lines = self.log.read_text(encoding='utf-8', errors='replace').strip().splitlines()
         first = next((k for k, line in enumerate(lines) if ' messages of ' in line), -1)
-        said = [line for line in lines[first:] if not line.startswith('sent before')]
-        return '; '.join(said)[:MOST_WORDS] or 'the recorder has said nothing'
+        report = [line for line in lines[first:] if not line.startswith('sent before')]
+        return '; '.join(report)[:MOST_WORDS] or 'the recorder has said nothing'
 
     def stop(self, answer: Callable[[bool, str], None]) -> None:
         """Let it finish its bag, and answer with its last words."""

@@ -36,8 +36,8 @@ def check_domain() -> Iterator[Diagnosis]:
         fix = f'use a domain up to {(low - PORT_BASE) // PORTS_PER_DOMAIN - 1}'
         yield warning('domain', f'ROS_DOMAIN_ID is {text}: {taken}', fix)
     else:
-        said = '' if os.environ.get('ROS_DOMAIN_ID') else ', as ROS_DOMAIN_ID is not set'
-        yield ok('domain', f'{text}{said}')
+        note = '' if os.environ.get('ROS_DOMAIN_ID') else ', as ROS_DOMAIN_ID is not set'
+        yield ok('domain', f'{text}{note}')
 
 
 def discovery_range() -> str:
@@ -47,25 +47,25 @@ def discovery_range() -> str:
 
 def check_discovery_range() -> Iterator[Diagnosis]:
     """Yield how far nodes look for each other."""
-    said, peers = discovery_range(), os.environ.get('ROS_STATIC_PEERS', '')
+    chosen, peers = discovery_range(), os.environ.get('ROS_STATIC_PEERS', '')
     also = f'; ROS_STATIC_PEERS is {peers}' if peers else ''
-    if said not in _RANGES:
+    if chosen not in _RANGES:
         fix = f'export it as one of {", ".join(_RANGES)}'
-        yield error('discovery range', f'ROS_AUTOMATIC_DISCOVERY_RANGE is {said!r}', fix)
-    elif said == 'OFF' and not peers:
+        yield error('discovery range', f'ROS_AUTOMATIC_DISCOVERY_RANGE is {chosen!r}', fix)
+    elif chosen == 'OFF' and not peers:
         fix = 'export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST, or SUBNET for several hosts'
         yield error('discovery range', 'OFF: nodes do not find each other', fix)
     elif os.environ.get('ROS_LOCALHOST_ONLY') == '1':
         fix = 'unset it and export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST'
         yield warning('discovery range', 'ROS_LOCALHOST_ONLY is 1, which is deprecated', fix)
     else:
-        yield ok('discovery range', f'{said}{also}')
+        yield ok('discovery range', f'{chosen}{also}')
 
 
 def check_profile() -> Iterator[Diagnosis]:
     """Yield whether the XML profiles of Fast DDS can be read, if there are any."""
-    told = {name: os.environ[name] for name in PROFILES if os.environ.get(name)}
-    for name, path in told.items():
+    paths = {name: os.environ[name] for name in PROFILES if os.environ.get(name)}
+    for name, path in paths.items():
         try:
             root = ET.parse(path).getroot()
         except (OSError, ET.ParseError) as fault:
@@ -77,7 +77,7 @@ def check_profile() -> Iterator[Diagnosis]:
             yield error('DDS profile', f'{path} holds <{root.tag}>, no profiles', fix)
             continue
         yield ok('DDS profile', path)
-    if not told:
+    if not paths:
         yield ok('DDS profile', 'the default of Fast DDS')
 
 

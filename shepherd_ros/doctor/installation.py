@@ -25,11 +25,11 @@ def check_python() -> Iterator[Diagnosis]:
     """Yield whether this Python is one that is tried."""
     text = f'{platform.python_version()} at {sys.executable}'
     (old, new), now = PYTHONS, sys.version_info[:2]
-    said = f'{old[0]}.{old[1]} to {new[0]}.{new[1]}'
+    supported = f'{old[0]}.{old[1]} to {new[0]}.{new[1]}'
     if now < old:
-        yield error('python', f'{text}: too old', f'use Python {said}; 3.12 is that of Jazzy')
+        yield error('python', f'{text}: too old', f'use Python {supported}; 3.12 is that of Jazzy')
     elif now > new:
-        yield warning('python', f'{text}: not tried', f'use Python {said} if something fails')
+        yield warning('python', f'{text}: not tried', f'use Python {supported} if something fails')
     else:
         yield ok('python', text)
 
@@ -53,8 +53,10 @@ def check_packages() -> Iterator[Diagnosis]:
         text = f'{__version__} runs, {installed} is installed'
         yield warning('packages', text, 'pip install --editable . again')
     else:
-        told = ', '.join(f'{name} {_version(name)}' for name in _SHOWN)
-        yield ok('packages', f'shepherd_ros {__version__}, all {len(names)} that it needs: {told}')
+        versions = ', '.join(f'{name} {_version(name)}' for name in _SHOWN)
+        yield ok(
+            'packages', f'shepherd_ros {__version__}, all {len(names)} that it needs: {versions}'
+        )
 
 
 def _version(name: str) -> str | None:

@@ -29,8 +29,8 @@ def writable(folder: Path) -> str:
 def check_disk() -> Iterator[Diagnosis]:
     """Yield whether bags and runs fit into the working folder."""
     here = Path.cwd()
-    if why := writable(here):
-        yield error('disk', f'{here} cannot be written ({why})', 'work in a folder of yours')
+    if reason := writable(here):
+        yield error('disk', f'{here} cannot be written ({reason})', 'work in a folder of yours')
         return
     free = shutil.disk_usage(here).free
     text, fix = f'{free / 1e9:.1f} GB free in {here}', 'remove old bags and runs'
@@ -51,9 +51,9 @@ def log_folder() -> Path:
 def check_logs() -> Iterator[Diagnosis]:
     """Yield whether nodes can write their logs, without which they do not start."""
     folder = log_folder()
-    if why := writable(folder):
+    if reason := writable(folder):
         fix = 'export ROS_LOG_DIR to a folder of yours'
-        yield error('logs', f'{folder} cannot be written ({why})', fix)
+        yield error('logs', f'{folder} cannot be written ({reason})', fix)
     else:
         yield ok('logs', str(folder))
 

@@ -50,7 +50,7 @@ class _SourceState:
     silent: bool  # it is not waited for until it is heard again
     velocity: Velocity = ZERO
     stamp_ns: int = -1
-    heard: float = -math.inf  # [s] when the last command came
+    received: float = -math.inf  # [s] when the last command came
 
 
 def check_priorities(sources: Sequence[CommandSource], locks: Sequence[Lock]) -> None:
@@ -99,7 +99,7 @@ class CommandMux:
         self.by_name = {source.name: source for source in self.sources}
         self.order = sorted(self.sources, key=lambda source: -source.priority)
         self.states: list[dict[str, _SourceState]] = []  # by shepherd
-        self.lock_heard: dict[str, tuple[bool, float]] = {}
+        self.lock_received: dict[str, tuple[bool, float]] = {}
 
     def begin(self, n_shepherds: int, lockstep: bool, now: float) -> None:
         """Make ready for an episode; what was selected and locked stays."""
@@ -118,17 +118,17 @@ class CommandMux:
         self.stamp_ns, self.shown = stamp_ns, now
         return True
 
-    def hear(
+    def receive(
         self, name: str, shepherd: int, velocity: Velocity, stamp_ns: int | None, now: float
     ) -> None:
         """Take a command of a source; without a stamp it answers the present state."""
         state = self.states[shepherd][name]
-        state.velocity, state.heard, state.silent = velocity, now, False
+        state.velocity, state.received, state.silent = velocity, now, False
         state.stamp_ns = self.stamp_ns if stamp_ns is None else stamp_ns
 
-    def hear_lock(self, name: str, on: bool, now: float) -> None:
+    def receive_lock(self, name: str, on: bool, now: float) -> None:
         """Take a message of a lock."""
-        self.lock_heard[name] = on, now
+        self.lock_received[name] = on, now
 
     def select(self, name: str, shepherd: int | None, now: float) -> None:
         """Let a source drive one shepherd or all; AUTO: the one of highest priority."""
@@ -160,8 +160,8 @@ class CommandMux:
         """Return the priority that a source needs to drive, as locks have it."""
         floor = 0
         for lock in self.locks:
-            on, heard = self.lock_heard.get(lock.name, (False, -math.inf))
-            if on or 0 < lock.timeout < now - heard:
+            on, received = self.lock_received.get(lock.name, (False, -math.inf))
+            if on or 0 < lock.timeout < now - received:
                 floor = max(floor, lock.priority)
         return floor
 
@@ -180,14 +180,14 @@ class CommandMux:
                     return Choice(source.name, state.velocity, self.stamp_ns)
                 if self._awaited(source, state, now):
                     return None
-            elif now - state.heard <= source.timeout:
+            elif now - state.received <= source.timeout:
                 stamp_ns = state.stamp_ns if source.answers else self.stamp_ns
                 return Choice(source.name, state.velocity, stamp_ns)
         return zero
 
     def _awaited(self, source: CommandSource, state: _SourceState, now: float) -> bool:
         """Return whether an answer to the present state may still come in time."""
-        starting = source.name == self.default and state.heard == -math.inf
+        starting = source.name == self.default and state.received == -math.inf
         timeout = max(self.start_timeout, source.timeout) if starting else source.timeout
         since = state.since if starting else max(self.shown, state.since)
         state.silent = state.silent or now - since > timeout

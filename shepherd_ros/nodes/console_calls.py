@@ -40,9 +40,9 @@ class ServiceCalls:
         future = client.call_async(request)
         waiting = [done]
 
-        def finish(response: Any, why: str) -> None:
+        def finish(response: Any, reason: str) -> None:
             if waiting:
-                waiting.pop()(response, why)
+                waiting.pop()(response, reason)
 
         def expire() -> None:
             if waiting:

@@ -32,7 +32,7 @@ from shepherd_ros.wire.topics import (
     SHEPHERD_POSES,
 )
 
-KEPT = 4  # newest messages of a topic, among which one of the same stamp as others is looked for
+RECENT = 4  # newest messages of a topic, among which one of the same stamp as others is looked for
 Parts = dict[int, bytes]  # newest messages of a topic by stamp [ns]
 
 
@@ -49,7 +49,7 @@ class ConsoleFeed:
         self.node, self.tell = node, tell
         self.group = PolledGroup()
         self.halves: dict[str, Parts] = {SHEEP_POSES: {}, SHEPHERD_POSES: {}}
-        self.inputs = {name: self._topic(name, depth=KEPT) for name in self.halves}
+        self.inputs = {name: self._topic(name, depth=RECENT) for name in self.halves}
         self.inputs |= {name: self._topic(name) for name in (EPISODE, GOAL)}
         self.scans: dict[int, dict[str, PolledTopic]] = {}
         self.seen: dict[int, dict[str, Parts]] = {}
@@ -165,7 +165,7 @@ class ConsoleFeed:
         for h in shepherds - self.scans.keys():
             self.seen[h] = {channel: {} for channel in PAPER_CHANNELS}
             self.scans[h] = {
-                channel: self._topic(scan_topic(channel), h, KEPT) for channel in PAPER_CHANNELS
+                channel: self._topic(scan_topic(channel), h, RECENT) for channel in PAPER_CHANNELS
             }
 
     def _ranges(self, shepherd: int, shepherds: Poses) -> dict[str, Any]:
@@ -190,9 +190,9 @@ class ConsoleFeed:
 
 def _keep(parts: Parts, messages: list[bytes]) -> None:
     """Put messages to those that are kept of a topic, by stamp, and drop older ones."""
-    for raw in messages[-KEPT:]:
+    for raw in messages[-RECENT:]:
         with suppress(CdrError):
             parts.pop(ns := decode_stamp(raw), None)
             parts[ns] = raw
-    while len(parts) > KEPT:
+    while len(parts) > RECENT:
         del parts[next(iter(parts))]

@@ -46,7 +46,7 @@ class DriverRequests:
         self.sources: list[str] = []
         self.active: list[str] = []
         self.drivers: Drivers | None = None
-        self.asked: dict[int, tuple[float, str]] = {}  # selected by pages, and when [s]
+        self.requested: dict[int, tuple[float, str]] = {}  # selected by pages, and when [s]
         self.before: dict[int, str] = {}  # what was selected for a shepherd that is driven by hand
         self.headings: dict[int, tuple[float, float]] = {}  # where it looked when it was taken
         self.commands: dict[str, Callable[..., None]] = {
@@ -82,15 +82,15 @@ class DriverRequests:
 
     def say(self) -> None:
         """Tell pages who drives."""
-        said = self.drivers if self.sources else None
+        state = self.drivers if self.sources else None
         self.tell(
-            'drivers', present=said is not None, sources=self.sources, active=self.active,
-            drivers=[] if said is None else list(said.drivers),
-            selected=[] if said is None else list(said.selected),
-            locked=[] if said is None else list(said.locked),
+            'drivers', present=state is not None, sources=self.sources, active=self.active,
+            drivers=[] if state is None else list(state.drivers),
+            selected=[] if state is None else list(state.selected),
+            locked=[] if state is None else list(state.locked),
         )  # fmt: skip
         places = {name: float(k) for k, name in enumerate(self.sources)}
-        drivers = () if said is None else said.drivers
+        drivers = () if state is None else state.drivers
         self.feed.set_drivers([places.get(name or '', NO_DRIVER) for name in drivers])
 
     # ---- commands ----
@@ -114,24 +114,24 @@ class DriverRequests:
         self._select(source, shepherd)
         self.before = {} if shepherd == ALL else self.before
         self.before.pop(shepherd, None)
-        who = 'all shepherds' if shepherd == ALL else f'shepherd {shepherd}'
-        answer(True, f'{source} is selected for {who}')
+        target = 'all shepherds' if shepherd == ALL else f'shepherd {shepherd}'
+        answer(True, f'{source} is selected for {target}')
 
     def _selected(self, shepherd: int) -> str:
         """Return what is selected for a shepherd, which mux may not have said yet."""
-        said = self._known(shepherd).selected[shepherd]
-        then, asked = self.asked.get(shepherd, (-math.inf, said))
-        return asked if self.node.wall() - then < SELECT_TIMEOUT else said
+        selected = self._known(shepherd).selected[shepherd]
+        then, requested = self.requested.get(shepherd, (-math.inf, selected))
+        return requested if self.node.wall() - then < SELECT_TIMEOUT else selected
 
     def _select(self, source: str, shepherd: int) -> None:
         team = range(len(self._known(ALL).drivers)) if shepherd == ALL else [shepherd]
-        self.asked |= dict.fromkeys(team, (self.node.wall(), source))
+        self.requested |= dict.fromkeys(team, (self.node.wall(), source))
         text = source if shepherd == ALL else f'{shepherd} {source}'
         self.select_output.publish(encode_text(text))
 
     def _lock(self, answer: Answer, locked: bool, shepherd: int = ALL) -> None:
-        def answered(response: Any, why: str) -> None:
-            answer(response is not None and response.success, why or response.message)
+        def answered(response: Any, reason: str) -> None:
+            answer(response is not None and response.success, reason or response.message)
 
         assert self.server is not None
         self._known(shepherd)

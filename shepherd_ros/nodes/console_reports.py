@@ -34,12 +34,12 @@ class ConsoleReports:
         """Subscribe to the metrics that are published; in the executor's thread."""
         space = self.node.get_namespace().rstrip('/')
         for name, _ in self.node.get_topic_names_and_types():
-            ours = known(name)
-            if ours is None or ours.namespace != space:
+            entry = known(name)
+            if entry is None or entry.namespace != space:
                 continue
-            family, _, metric = ours.topic.name.partition('/')
+            family, _, metric = entry.topic.name.partition('/')
             if family == FAMILY and metric not in self.metrics:
-                self.metrics[metric] = PolledTopic(self.node, self.group, ours.topic.name)
+                self.metrics[metric] = PolledTopic(self.node, self.group, entry.topic.name)
 
     def metric_names(self) -> list[dict[str, str]]:
         """Return name, unit and meaning of each metric that is published."""
@@ -48,14 +48,14 @@ class ConsoleReports:
 
     def hear_metrics(self) -> bool:
         """Take the newest metrics; return whether there are any."""
-        heard = False
+        changed = False
         for name, topic in list(self.metrics.items()):
             for raw in topic.take()[-1:]:
                 with suppress(CdrError):
                     value = decode_float64(raw)
                     if math.isfinite(value):
-                        self.values[name], heard = value, True
-        return heard
+                        self.values[name], changed = value, True
+        return changed
 
     def hear_reports(self) -> list[dict[str, Any]]:
         """Return the newest report of each part of each node, sorted by name."""

@@ -91,15 +91,15 @@ class WorldRequests:
         """Ask the world for its parameters and tell them."""
         names = [*SETTINGS, 'rate']
 
-        def described(answer: Any, why: str) -> None:
+        def described(answer: Any, reason: str) -> None:
             if answer is not None and len(answer.descriptors) == len(names):
                 self._call(
                     'get_parameters',
                     GetParameters.Request(names=names),
-                    partial(got, answer.descriptors),
+                    partial(with_values, answer.descriptors),
                 )
 
-        def got(descriptors: list[Any], answer: Any, why: str) -> None:
+        def with_values(descriptors: list[Any], answer: Any, reason: str) -> None:
             if answer is not None and len(answer.values) == len(names):
                 values = [parameter_value_to_python(value) for value in answer.values]
                 about = {
@@ -124,22 +124,22 @@ class WorldRequests:
         parameters = [Parameter(name, value=value) for name, value in values.items()]
         request = SetParameters.Request(parameters=[p.to_parameter_msg() for p in parameters])
 
-        def answered(response: Any, why: str) -> None:
+        def answered(response: Any, reason: str) -> None:
             results = [] if response is None else response.results
             reasons = [result.reason for result in results if not result.successful]
-            done(why or '; '.join(reasons))
+            done(reason or '; '.join(reasons))
 
         self._call('set_parameters', request, answered)
 
     def _ask(self, answer: Answer, name: str, request: Any, paused: bool | None = None) -> None:
         """Call a service and answer what it says; paused is the state it leaves."""
 
-        def answered(response: Any, why: str) -> None:
+        def answered(response: Any, reason: str) -> None:
             ok = response is not None and response.success
             if ok and paused is not None:
                 self.paused, self.changed = paused, self.node.wall()
                 self.say()
-            answer(ok, why or response.message)
+            answer(ok, reason or response.message)
 
         self._call(name, request, answered)
 
@@ -160,17 +160,17 @@ class WorldRequests:
     ) -> None:
         """Set parameters, then call a service."""
 
-        def done(why: str) -> None:
-            if why:
-                answer(False, why)
+        def done(reason: str) -> None:
+            if reason:
+                answer(False, reason)
             else:
                 self._ask(answer, name, Trigger.Request(), paused)
 
         self._set(values, done)
 
     def _rate(self, answer: Answer, rate: float) -> None:
-        said = f'{rate:g} steps per second' if rate else 'the pace of the world'
-        self._answer_set({'rate': rate}, answer, said)
+        text = f'{rate:g} steps per second' if rate else 'the pace of the world'
+        self._answer_set({'rate': rate}, answer, text)
 
     def _settings(self, answer: Answer, values: dict[str, Any]) -> None:
         if not values:
@@ -184,12 +184,12 @@ class WorldRequests:
             known = self.settings.get(name, {}).get('value')
             whole = isinstance(known, float) and type(value) is int
             taken[name] = float(value) if whole else value
-        said = ', '.join(f'{name} {value}' for name, value in taken.items())
-        self._answer_set(taken, answer, f'from the next episode on: {said}')
+        text = ', '.join(f'{name} {value}' for name, value in taken.items())
+        self._answer_set(taken, answer, f'from the next episode on: {text}')
 
-    def _answer_set(self, values: dict[str, Any], answer: Answer, said: str) -> None:
-        def done(why: str) -> None:
-            answer(not why, why or said)
+    def _answer_set(self, values: dict[str, Any], answer: Answer, text: str) -> None:
+        def done(reason: str) -> None:
+            answer(not reason, reason or text)
             self.refresh()
 
         self._set(values, done)

@@ -28,27 +28,27 @@ def main(own: str, other: str) -> int:
         print(json.dumps({'error': str(error), 'setting': True}))
         return 2
     node = Node(f'{_PREFIX}{own}_{os.getpid()}', start_parameter_services=False)
-    begun, heard = time.monotonic(), list[float]()
+    started, delays = time.monotonic(), list[float]()
 
-    def hear(message: String) -> None:
+    def on_message(message: String) -> None:
         if len(message.data) == _SIZE:
-            heard.append(time.monotonic() - begun)
+            delays.append(time.monotonic() - started)
 
     group = f'_{_PREFIX}{os.getppid()}'  # of the one who asks, and of nobody else
-    node.create_subscription(String, f'{group}/{other}', hear, 10)
+    node.create_subscription(String, f'{group}/{other}', on_message, 10)
     output = node.create_publisher(String, f'{group}/{own}', 10)
-    said, limit = String(data='x' * _SIZE), begun + _LIMIT
+    message_out, limit = String(data='x' * _SIZE), started + _LIMIT
     while time.monotonic() < limit:
-        output.publish(said)
+        output.publish(message_out)
         rclpy.spin_once(node, timeout_sec=_PERIOD)
-        if heard:
-            limit = min(limit, begun + heard[0] + SAYING)
+        if delays:
+            limit = min(limit, started + delays[0] + SAYING)
     names = {f'{space.rstrip("/")}/{name}' for name, space in node.get_node_names_and_namespaces()}
     found = {
         'rmw': rclpy.get_rmw_implementation_identifier(),
         'distro': os.environ.get('ROS_DISTRO', ''),
         'domain': os.environ.get('ROS_DOMAIN_ID') or '0',
-        'seconds': heard[0] if heard else None,
+        'seconds': delays[0] if delays else None,
         'others': sorted(name for name in names if not name.startswith(f'/{_PREFIX}')),
     }
     node.destroy_node()

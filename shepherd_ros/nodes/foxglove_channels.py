@@ -135,9 +135,9 @@ class FoxgloveChannels:
                 self.node.destroy_subscription(subscription)
             topic.channel.close()
 
-    def _refuse(self, name: str, why: str) -> None:
+    def _refuse(self, name: str, reason: str) -> None:
         """Show a topic to no client; the reason is told once."""
-        if self.refused.get(name) != why:
+        if self.refused.get(name) != reason:
             self._close(name)
-            self.refused[name] = why
-            self.node.get_logger().warning(f'{name} is not shown: {why}')
+            self.refused[name] = reason
+            self.node.get_logger().warning(f'{name} is not shown: {reason}')

@@ -38,11 +38,11 @@ class FoxgloveServices:
 
     def look(self, services: dict[str, str]) -> None:
         """Offer these services, types by name, and no others."""
-        gone = [name for name, (kind, _) in self.clients.items() if services.get(name) != kind]
-        for name in gone:
+        removed = [name for name, (kind, _) in self.clients.items() if services.get(name) != kind]
+        for name in removed:
             self.node.destroy_client(self.clients.pop(name)[1])
-        if gone:
-            self.server.remove_services(gone)
+        if removed:
+            self.server.remove_services(removed)
         offered = []
         for name, kind in services.items():
             if name in self.clients or name in self.refused:

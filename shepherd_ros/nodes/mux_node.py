@@ -112,7 +112,7 @@ class MuxNode(ShepherdNode):
         """Take a command of a source."""
         team: Sequence[int] = range(self.mux.n_shepherds) if shepherd is None else [shepherd]
         for h in team:
-            self.mux.hear(name, h, velocity, stamp_ns, self.wall())
+            self.mux.receive(name, h, velocity, stamp_ns, self.wall())
         if self.mux.lockstep:
             self.decide()
         elif self._has_state():

@@ -65,7 +65,7 @@ class MuxRequests:
         return self._answer(
             response,
             lambda: self.mux.select(name, shepherd, self.node.wall()),
-            f'{name} is selected for {_who(shepherd)}',
+            f'{name} is selected for {_target(shepherd)}',
         )
 
     def lock(self, shepherd: int | None, request: Any, response: Any) -> Any:
@@ -73,7 +73,7 @@ class MuxRequests:
         return self._answer(
             response,
             lambda: self.mux.lock(request.data, shepherd),
-            f'{_who(shepherd)}: {"locked" if request.data else "not locked"}',
+            f'{_target(shepherd)}: {"locked" if request.data else "not locked"}',
         )
 
     def _answer(self, response: Any, change: Callable[[], None], text: str) -> Any:
@@ -108,15 +108,15 @@ class MuxRequests:
         except ConfigError as error:
             self.node.get_logger().warning(f'{error}: ignored')
             return
-        self.node.get_logger().info(f'{match[2]} is selected for {_who(shepherd)}')
+        self.node.get_logger().info(f'{match[2]} is selected for {_target(shepherd)}')
         self.on_change()
 
     def on_lock(self, name: str, on: bool) -> None:
         """Take a message of a lock."""
-        self.mux.hear_lock(name, on, self.node.wall())
+        self.mux.receive_lock(name, on, self.node.wall())
         self.on_change()
 
 
-def _who(shepherd: int | None) -> str:
+def _target(shepherd: int | None) -> str:
     """Return the name of one shepherd, or of all."""
     return 'all shepherds' if shepherd is None else SHEPHERD.format(h=shepherd)

@@ -114,8 +114,8 @@ class MuxSources:
         else:
             self._refuse(name, shepherd, f'is {velocity}, expected finite numbers')
 
-    def _refuse(self, name: str, shepherd: int | None, why: str) -> None:
+    def _refuse(self, name: str, shepherd: int | None, reason: str) -> None:
         self.node.get_logger().warning(
-            f'{self.topic((name, shepherd))}: a command {why}: ignored',
+            f'{self.topic((name, shepherd))}: a command {reason}: ignored',
             throttle_duration_sec=WARNING_PERIOD,
         )

@@ -159,14 +159,14 @@ class Losses:
     def summary(self, verbose: bool) -> list[str]:
         """Return a line for all losses and one for all that came too early; verbose: by topic."""
         early = self.earlier()
-        told = [f'{name}: {count}' for name, count in early.items()]
+        counts_by_topic = [f'{name}: {count}' for name, count in early.items()]
         return [
-            *_told('lost', self.by_topic(), self.report(), verbose),
-            *_told('sent before the first that was heard', early, told, verbose),
+            *_shown('lost', self.by_topic(), self.report(), verbose),
+            *_shown('sent before the first that was heard', early, counts_by_topic, verbose),
         ]
 
 
-def _told(what: str, counts: Counter[str], lines: list[str], verbose: bool) -> list[str]:
+def _shown(what: str, counts: Counter[str], lines: list[str], verbose: bool) -> list[str]:
     """Return the lines of topics, or one for all of them where there are several."""
     if verbose or len(lines) < 2:
         return [f'{what}: {line}' for line in lines]

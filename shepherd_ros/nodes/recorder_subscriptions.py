@@ -58,12 +58,12 @@ class RecorderSubscriptions:
         verbose: bool = False,
     ) -> None:
         """
-        Listen to the contract in the node's namespace; refuse(why) is told what cannot be.
+        Listen to the contract in the node's namespace; refuse(reason) hears what cannot be.
 
         With wait [s] messages are in the order in which they were sent, if none is later than so.
         verbose: each topic is named when it is found.
         """
-        self.verbose, self.told = verbose, 0  # topics, when tell() said how many
+        self.verbose, self.announced = verbose, 0  # topics, when tell() said how many
         self.node, self.wanted, self.refuse = node, wanted, refuse
         self.inputs: dict[str, RecordedTopic] = {}
         self.refused: dict[str, str] = {}
@@ -115,8 +115,8 @@ class RecorderSubscriptions:
     def tell(self) -> None:
         """Say how many topics are recorded, if there are more than when it was last said."""
         offered = sum(bool(topic.offers) for topic in self.inputs.values())
-        if offered > self.told:
-            self.told = offered
+        if offered > self.announced:
+            self.announced = offered
             self.node.get_logger().info(f'recording {offered} topics')
 
     def look(self) -> None:

@@ -35,18 +35,18 @@ def verdicts_on_values(maps: Maps, primary: Mapping[str, str]) -> list[Verdict]:
     The two primary policies (by flock) are judged together, as the paper shows both maps; each
     other is judged alone, and its areas against those of the primary policy of the other flock.
     """
-    ours = (primary['strombom'], primary['reynolds'])
-    numbers = [finding for policy in ours for finding in _behind(policy, maps)]
+    primaries = (primary['strombom'], primary['reynolds'])
+    numbers = [finding for policy in primaries for finding in _behind(policy, maps)]
     outcomes = [
-        single('fig9', BEHIND, _names(*ours), *numbers),
-        single('fig9', AREAS, _names(*ours), _areas(*ours, maps)),
+        single('fig9', BEHIND, _names(*primaries), *numbers),
+        single('fig9', AREAS, _names(*primaries), _areas(*primaries, maps)),
     ]
     for policy in maps:
-        if policy in ours:
+        if policy in primaries:
             continue
         outcomes.append(single('fig9', BEHIND, policy, *_behind(policy, maps), primary=False))
         flocks = trained_on(policy)
-        for pair in ((policy, ours[1]), (ours[0], policy)):
+        for pair in ((policy, primaries[1]), (primaries[0], policy)):
             if flocks == {'strombom' if pair[0] == policy else 'reynolds'}:
                 finding = _areas(*pair, maps)
                 outcomes.append(single('fig9', AREAS, policy, finding, primary=False))

@@ -34,7 +34,7 @@ class BagList:
             ).rstrip()
             for row in rows
         ]
-        lines += [f'{name}  {why}' for name, why in sorted(self.unreadable.items())]
+        lines += [f'{name}  {reason}' for name, reason in sorted(self.unreadable.items())]
         return '\n'.join([*lines, '', *self._totals()])
 
     def content(self) -> dict[str, Any]:

@@ -47,14 +47,14 @@ def recover_recording(
     """
     messages = 0
 
-    def hear(custom_data: dict[str, str], topic: str, cdr: bytes) -> None:
+    def count_message(custom_data: dict[str, str], topic: str, cdr: bytes) -> None:
         nonlocal messages
         messages += 1
         if messages % PROGRESS_STEP == 0:
             on_progress(messages)
         _store_episode(custom_data, topic, cdr)
 
-    return recover(path, folder, compression=compression, on_message=hear)
+    return recover(path, folder, compression=compression, on_message=count_message)
 
 
 def offered_qos(profile: Profile) -> Qos:

@@ -51,9 +51,9 @@ class Drivers:
                 raise ConfigError('drivers, selected and locked are not of one length')
             return cls(**numbers, drivers=drivers, selected=selected, locked=locked)
         except (KeyError, TypeError, ValueError, RecursionError) as error:
-            why = str(error) if isinstance(error, ConfigError) else repr(error)
+            reason = str(error) if isinstance(error, ConfigError) else repr(error)
             raise ConfigError(
-                f'drivers {text[:60]!r} cannot be read ({why:.200}): expected JSON as in '
+                f'drivers {text[:60]!r} cannot be read ({reason:.200}): expected JSON as in '
                 'msg_schemas/drivers.schema.json'
             ) from error
 

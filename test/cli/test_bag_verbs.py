@@ -56,8 +56,8 @@ def shepherd(capsys: pytest.CaptureFixture[str]) -> Callable[..., Said]:
 
     def run(*words: object) -> Said:
         code = main(['bag', *map(str, words)])
-        said = capsys.readouterr()
-        return code, said.out, said.err
+        output = capsys.readouterr()
+        return code, output.out, output.err
 
     return run
 
@@ -85,10 +85,10 @@ def test_info_tells_the_metrics_of_each_episode(
     ends = []
     for row, episode in zip(rows, iter_episodes(open_bag(bag)), strict=False):
         curves = metrics_over_time(states_of(episode), episode.episode_steps)
-        for told, metric in zip(row[2:], shown('bag'), strict=True):
+        for printed, metric in zip(row[2:], shown('bag'), strict=True):
             name = metric.name
             late = name == 'completion_time' and not curves['completed'][-1]
-            assert told == ('never' if late else f'{curves[name][-1]:.4g}'), name
+            assert printed == ('never' if late else f'{curves[name][-1]:.4g}'), name
         ends.append([curves[metric.name][-1] for metric in shown('bag')])
     assert rows[2][2:] == [
         f'{(first + second) / 2:.4g}' for first, second in zip(*ends, strict=True)
@@ -133,9 +133,9 @@ def test_info_is_also_json(tmp_path: Path, shepherd: Callable[..., Said]) -> Non
     assert gap['episodes'][1] == whole['episodes'][1]
     ends = [curve_ends(episode) for episode in iter_episodes(open_bag(tmp_path / 'bags/whole'))]
     for episode, end in zip(whole['episodes'], ends, strict=True):
-        told = episode['metrics']
-        assert told['fraction_in_goal'] == end['fraction_in_goal']
-        assert told['completion_time'] in (end['completion_time'], None)
+        printed = episode['metrics']
+        assert printed['fraction_in_goal'] == end['fraction_in_goal']
+        assert printed['completion_time'] in (end['completion_time'], None)
 
 
 def test_info_of_a_folder_lists_its_bags(tmp_path: Path, shepherd: Callable[..., Said]) -> None:
@@ -185,9 +185,9 @@ def test_info_of_states_that_cannot_be_counted_has_no_metrics_for_them(
         rows = []
         for m in MESSAGES:
             if m.topic == '/episode':
-                said = decode_string(m.data)
-                assert old in said
-                m = m._replace(data=cdr(make('String', data=said.replace(old, new))))
+                output = decode_string(m.data)
+                assert old in output
+                m = m._replace(data=cdr(make('String', data=output.replace(old, new))))
             rows.append(m)
         code, out, err = shepherd('info', write(tmp_path / str(k), rows))
         assert (code, err) == (0, '')
@@ -232,9 +232,9 @@ def test_recover_makes_a_new_bag_beside_the_torn_one(
     assert (code, err) == (0, '')
     assert 'messages kept of 1 files' in out
     assert prints(torn) == before
-    kept = [m.data for m in open_bag(tmp_path / 'torn_recovered').messages()]
-    assert kept == [m.data for m in open_bag(whole).messages()][: len(kept)]
-    assert 0 < len(kept) < len(MESSAGES)
+    stored = [m.data for m in open_bag(tmp_path / 'torn_recovered').messages()]
+    assert stored == [m.data for m in open_bag(whole).messages()][: len(stored)]
+    assert 0 < len(stored) < len(MESSAGES)
     code, _, err = shepherd('recover', torn)
     assert code == 2
     assert 'it exists already; choose another folder' in err

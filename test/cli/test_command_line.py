@@ -33,11 +33,11 @@ def test_a_command_that_needs_more_shows_its_help(
 def test_a_node_gets_the_words_after_its_name(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    got: list[Any] = []
+    result: list[Any] = []
     monkeypatch.setattr(sys, 'argv', [])
-    monkeypatch.setattr(executables, 'lidar', lambda: got.append(sys.argv) or 3, raising=False)
+    monkeypatch.setattr(executables, 'lidar', lambda: result.append(sys.argv) or 3, raising=False)
     assert main(['run', 'lidar', '--ros-args', '-p', 'noise_std:=0.5']) == 3
-    assert got == [['lidar', '--ros-args', '-p', 'noise_std:=0.5']]
+    assert result == [['lidar', '--ros-args', '-p', 'noise_std:=0.5']]
     assert main(['run', 'lidr']) == 2
     assert "node is 'lidr': expected one of" in capsys.readouterr().err
 
@@ -102,9 +102,9 @@ def test_what_others_have_written_stays(
     for name in ('notes.safetensors', 'notes.pt'):
         (out / name).write_text('mine')
     assert main([word.format(out, bag=bag) for word in words]) == 2
-    said = capsys.readouterr().err
-    assert str(out) in said
-    assert re.search('which holds something else|already|is no candidate', said)
+    output = capsys.readouterr().err
+    assert str(out) in output
+    assert re.search('which holds something else|already|is no candidate', output)
     assert sorted(path.name for path in out.iterdir()) == ['notes.pt', 'notes.safetensors']
     assert {path.read_text() for path in out.iterdir()} == {'mine'}
 
@@ -148,8 +148,8 @@ def test_bash_completes_verbs_options_and_choices(tmp_path: Path) -> None:
     with suppress(SystemExit):
         main(['--tyro-write-completion', 'bash', str(script)])
     words = ['bash', '--norc', '-c', COMPLETE.format(script=script)]
-    said = subprocess.run(words, capture_output=True, text=True, check=True).stdout
-    assert said.splitlines() == [
+    output = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    assert output.splitlines() == [
         'complete -F _tyro_shepherd shepherd',
         'doctor',
         'recover render',

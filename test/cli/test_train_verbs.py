@@ -37,9 +37,9 @@ def test_ppo_from_scratch_holds_actions_for_shorter(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert train(f'ppo {NETWORK} {TINY}', tmp_path) == 0
-    said = capsys.readouterr().out
-    assert said.count('  0:00:00 left\n') >= 1
-    assert f'the best policy is in {tmp_path / "best.safetensors"}' in said
+    output = capsys.readouterr().out
+    assert output.count('  0:00:00 left\n') >= 1
+    assert f'the best policy is in {tmp_path / "best.safetensors"}' in output
     lines = [json.loads(x) for x in (tmp_path / 'curve.jsonl').read_text().splitlines()]
     assert min(line['seconds_left'] for line in lines) == lines[-1]['seconds_left'] == 0
     paces = [line['decision_interval'] for line in lines]

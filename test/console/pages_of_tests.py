@@ -31,9 +31,9 @@ class TestPage:
         """Open it."""
         self.address, self.headers, self.reads = address, headers, reads
         self.frames: list[StateFrame] = []
-        self.told: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
+        self.messages: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
         self.order: list[str] = []  # types of messages and 'frame' as they came
-        self.closed = self.gone = False  # by itself, by the server
+        self.closed = self.disconnected = False  # by itself, by the server
         self._ids = count(1)
         self.loop = asyncio.new_event_loop()
         self.thread = Thread(target=self.loop.run_forever, daemon=True)
@@ -69,7 +69,7 @@ class TestPage:
         with suppress(WebSocketClosedError):
             while (message := await self.connection.read_message()) is not None:
                 await self._take(message)
-        self.gone = True
+        self.disconnected = True
 
     async def _take(self, message: str | bytes) -> None:
         if isinstance(message, bytes):
@@ -79,12 +79,12 @@ class TestPage:
             await self._send(json.dumps({'do': 'ack', 'frame': frame.number}))
         else:
             content = json.loads(message)
-            self.told[content['type']].append(content)
+            self.messages[content['type']].append(content)
             self.order.append(content['type'])
 
     def last(self, kind: str) -> dict[str, Any]:
         """Return the newest message of a type, {} before the first."""
-        return self.told[kind][-1] if self.told[kind] else {}
+        return self.messages[kind][-1] if self.messages[kind] else {}
 
     def send(self, do: str, **fields: Any) -> int:
         """Give a command; return its number."""
@@ -101,7 +101,7 @@ class TestPage:
 
     def answer(self, number: int) -> dict[str, Any] | None:
         """Return the answer to a command, None before it has come."""
-        return next((a for a in self.told['answer'] if a['id'] == number), None)
+        return next((a for a in self.messages['answer'] if a['id'] == number), None)
 
     def ask(self, until: Callable[..., Any], do: str, **fields: Any) -> dict[str, Any]:
         """Give a command and return its answer; until(condition, what) waits."""

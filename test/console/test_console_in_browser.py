@@ -136,8 +136,10 @@ def page(herding: Herding) -> Iterator[ConsolePage]:
     page.press(Keys.ESCAPE)  # gives back what is driven
     assert page.texts('#alerts p') == []
     assert page.complaints() == []
-    asked = {url for url in page.requests() if url.startswith(('http', 'ws'))}
-    assert {urlsplit(url).netloc for url in asked} <= {urlsplit(herding.console.address).netloc}
+    requested = {url for url in page.requests() if url.startswith(('http', 'ws'))}
+    assert {urlsplit(url).netloc for url in requested} <= {
+        urlsplit(herding.console.address).netloc
+    }
 
 
 def test_it_shows_the_newest_state(herding: Herding, page: ConsolePage) -> None:
@@ -496,11 +498,11 @@ def test_a_recording_is_made_listed_replayed_and_driven_on_by_another(
     page.run('bags.play(false)')
     assert page.texts('#futures thead th')[1:] == ['recorded', 'drover']
     page.go(len(episode.frames) - 1)
-    mine, other = page.run(
+    own_part, other = page.run(
         'const m = PLANE.moment; return [m.shepherds, m.other.shepherds].map((p) => [...p])'
     )
-    assert_allclose(np.reshape(mine, (-1, 2)), episode.frames[-1].shepherds, atol=0.001)
-    assert np.abs(np.subtract(mine, other)).max() > 0.1
+    assert_allclose(np.reshape(own_part, (-1, 2)), episode.frames[-1].shepherds, atol=0.001)
+    assert np.abs(np.subtract(own_part, other)).max() > 0.1
     page.click('#live')
     assert not page.find('#player').is_displayed()
     shown = page.run('return LIVE.frame.number')

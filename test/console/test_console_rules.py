@@ -1,4 +1,4 @@
-"""What the console does without a graph: access, commands, sessions, drives, curves, bags."""
+"""The console without a graph: access, commands, sessions, drives, curves, bags."""
 
 from __future__ import annotations
 
@@ -143,8 +143,8 @@ class Slow:
             self.may.release()
         for _ in range(20):
             await asyncio.sleep(0)
-        got, self.got = self.got, []
-        return got
+        result, self.got = self.got, []
+        return result
 
 
 def test_a_slow_page_gets_the_newest_of_each_kind_once() -> None:
@@ -255,12 +255,12 @@ def test_a_shepherd_is_held_by_one_and_stands_when_it_is_given_back(
             team.drives.drop(shepherd)
         else:
             team.drives.expire(now)
-            assert all(now - hold.heard <= DEAD_MAN for hold in team.drives.holds.values())
+            assert all(now - hold.last_command <= DEAD_MAN for hold in team.drives.holds.values())
     team.drives.drop(None)
     for h in range(3):
-        mine = [entry for entry in team.log if entry[1] == h]
+        own = [entry for entry in team.log if entry[1] == h]
         held = False
-        for before, entry in zip([(), *mine], mine, strict=False):
+        for before, entry in zip([(), *own], own, strict=False):
             if entry[0] == 'take':
                 assert not held
                 held = True

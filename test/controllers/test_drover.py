@@ -178,8 +178,8 @@ def test_a_lone_shepherd_sets_out_to_the_stray_nearer_in_bearing() -> None:
     world = WorldConfig(n_sheep=10, n_shepherds=1)
     for y in (13.0, -13.0):  # 57 and 123 degrees from the strays at 90 and -90
         home = scene([(0.0, 0.0)] * 8 + [(0.0, 6.0), (0.0, -5.0)], [(20.0, y)])
-        _, (here, there) = settle(home, 1, world)
-        turn = torch.linalg.det(torch.stack([here[0], there[0]]))  # > 0: counter-clockwise
+        _, (here, present) = settle(home, 1, world)
+        turn = torch.linalg.det(torch.stack([here[0], present[0]]))  # > 0: counter-clockwise
         assert float(turn) * y > 0
 
 
@@ -294,9 +294,9 @@ def test_each_of_a_ring_goes_midway_between_its_neighbours() -> None:
         [0.1],
     ]
     for row, places in enumerate(expected):
-        got = midway(angle, mask)[row, : len(places)]
-        assert torch.sin(got).tolist() == pytest.approx([math.sin(x) for x in places], abs=1e-5)
-        assert torch.cos(got).tolist() == pytest.approx([math.cos(x) for x in places], abs=1e-5)
+        result = midway(angle, mask)[row, : len(places)]
+        assert torch.sin(result).tolist() == pytest.approx([math.sin(x) for x in places], abs=1e-5)
+        assert torch.cos(result).tolist() == pytest.approx([math.cos(x) for x in places], abs=1e-5)
 
 
 @pytest.mark.parametrize('shepherds', [1, 2])

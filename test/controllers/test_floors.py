@@ -53,20 +53,22 @@ def test_a_random_shepherd_commands_its_top_speed_in_a_drawn_direction(top: floa
 @pytest.mark.parametrize('hold', [1, 8])
 def test_a_random_direction_is_kept_for_as_many_steps_as_told(hold: int) -> None:
     state = make_state(1, 5, 2)
-    ways = torch.stack([random_command(at_step(state, t), hold_steps=hold) for t in range(24)])
-    changes = (ways[1:] != ways[:-1]).any(dim=-1).all(dim=-1)
+    directions = torch.stack(
+        [random_command(at_step(state, t), hold_steps=hold) for t in range(24)]
+    )
+    changes = (directions[1:] != directions[:-1]).any(dim=-1).all(dim=-1)
     assert changes.tolist() == [(t + 1) % hold == 0 for t in range(23)]
-    assert changes.tolist() == (ways[1:] != ways[:-1]).any(dim=-1).any(dim=-1).tolist()
+    assert changes.tolist() == (directions[1:] != directions[:-1]).any(dim=-1).any(dim=-1).tolist()
 
 
 def test_random_directions_are_even_all_round_and_differ_between_shepherds_and_seeds() -> None:
     states = [replace(make_state(1, 1, 20), seed=torch.tensor(seed)) for seed in range(500)]
-    ways = random_command(batch(states)).reshape(-1, 2)
-    angle = torch.atan2(ways[:, 1], ways[:, 0])
+    directions = random_command(batch(states)).reshape(-1, 2)
+    angle = torch.atan2(directions[:, 1], directions[:, 0])
     share = torch.histc(angle, bins=8, min=-math.pi, max=math.pi) / len(angle)
     assert (share - 1 / 8).abs().max() < 0.02
     assert len(angle.unique()) > 9_900
-    assert ways.mean(dim=0).abs().max() < 0.05
+    assert directions.mean(dim=0).abs().max() < 0.05
 
 
 def test_a_random_shepherd_does_not_look() -> None:
@@ -96,11 +98,11 @@ def test_a_controller_answers_the_same_state_with_the_same_commands(name: str) -
     assert CONTROLLERS[name].name == name
     state = make_state(4, 20, 3)
     memory = controller.begin(state)
-    kept = {key: value.clone() for key, value in memory.items()}
+    stored = {key: value.clone() for key, value in memory.items()}
     first, after = controller.act(state, memory)
     again, _ = controller.act(state, memory)
     assert torch.equal(first, again)
-    assert all(torch.equal(memory[key], kept[key]) for key in kept)  # handed in, not changed
+    assert all(torch.equal(memory[key], stored[key]) for key in stored)  # handed in, not changed
     assert set(after) == set(memory)
 
 
@@ -110,8 +112,8 @@ def test_a_controller_takes_any_leading_axes(name: str) -> None:
     flat = batch([make_state(seed, 12, 3) for seed in range(6)])
     grid = replace(flat, **{key: value.unflatten(0, (2, 3)) for key, value in vars(flat).items()})
     expected, _ = controller.act(flat, controller.begin(flat))
-    got, memory = controller.act(grid, controller.begin(grid))
-    assert torch.equal(got.flatten(0, 1), expected)
+    result, memory = controller.act(grid, controller.begin(grid))
+    assert torch.equal(result.flatten(0, 1), expected)
     assert all(value.shape[:2] == (2, 3) for value in memory.values())
 
 
@@ -133,17 +135,17 @@ def test_the_commands_of_the_present_do_not_depend_on_the_absent(name: str) -> N
     state = make_state(4, 20, 3)
     more = padded(state, 3, 2)
     expected, _ = controller.act(state, controller.begin(state))
-    got, _ = controller.act(more, controller.begin(more))
-    assert_near(got[:3], expected, 1e-7)
-    assert got.isfinite().all()
+    result, _ = controller.act(more, controller.begin(more))
+    assert_near(result[:3], expected, 1e-7)
+    assert result.isfinite().all()
 
 
 def test_places_on_an_arc_go_to_shepherds_in_order_of_bearing() -> None:
     around = torch.tensor([[0.3, -0.4, 0.1, 9.0], [0.0, 0.0, -1.0, 1.0]])
     mask = torch.tensor([[True, True, True, False], [True, True, True, True]])
-    got = places_on_arc(around, torch.tensor([[0.5], [0.2]]), mask)
-    assert_near(got[0, :3], [0.5, -0.5, 0.0], 1e-6)
-    assert_near(got[1], [-0.1, 0.1, -0.3, 0.3], 1e-6)  # ties by index
+    result = places_on_arc(around, torch.tensor([[0.5], [0.2]]), mask)
+    assert_near(result[0, :3], [0.5, -0.5, 0.0], 1e-6)
+    assert_near(result[1], [-0.1, 0.1, -0.3, 0.3], 1e-6)  # ties by index
 
 
 def test_shepherds_on_the_far_side_part_and_keep_to_their_ways() -> None:

@@ -163,8 +163,8 @@ def test_commands_and_heading_are_those_of_the_reference() -> None:
             phi = float(np.random.default_rng(seed).uniform(-3, 3))
             command, turned_to = expected(state, phi)
             for dtype, tolerance in ((torch.float64, 1e-4), (torch.float32, 2e-3)):
-                got, got_phi = act(state.to(dtype), phi)
-                assert_near(got, command, tolerance)
+                result, got_phi = act(state.to(dtype), phi)
+                assert_near(result, command, tolerance)
                 assert angle_between(got_phi, turned_to) < 1e-5
 
 
@@ -195,9 +195,9 @@ def test_every_option_is_that_of_the_reference(options: dict[str, Any]) -> None:
         world = WorldConfig(dt=dt, shepherd_speed=1.5, flock=flock)
         for seed, m in product(range(4), (1, 2, 5)):
             state = ring_state(seed, 12, m)
-            got, phi = act(state, 0.3 * seed, world, **options)
+            result, phi = act(state, 0.3 * seed, world, **options)
             command, turned_to = expected(state, 0.3 * seed, world, **options)
-            assert_near(got, command, 1e-4)
+            assert_near(result, command, 1e-4)
             assert angle_between(phi, turned_to) < 1e-9
 
 
@@ -254,10 +254,10 @@ def test_sorted_places_leave_no_crossing_and_fixed_ones_go_by_number() -> None:
     assert_near(places(swapped, math.pi), places(state, math.pi).flip(0), 1e-9)
     world = WorldConfig(shepherd_speed=1e6, dt=1.0)
     options = {'tracking_gain': 1.0, 'gain': 0.0, 'assignment': 'fixed'}
-    ways = [s.shepherds + act(s, math.pi, world, **options)[0] for s in (state, swapped)]
-    assert_near(ways[0], ways[1], 1e-9)
+    directions = [s.shepherds + act(s, math.pi, world, **options)[0] for s in (state, swapped)]
+    assert_near(directions[0], directions[1], 1e-9)
     # places go counter-clockwise: the first is at the lesser angle
-    assert ways[0][0, 1] < 0 < ways[0][1, 1]
+    assert directions[0][0, 1] < 0 < directions[0][1, 1]
 
 
 def test_the_first_heading_points_from_the_flock_to_the_goal() -> None:
@@ -324,8 +324,8 @@ def test_commands_turn_with_the_world_and_do_not_depend_on_where_it_is(
 ) -> None:
     state = ring_state(seed, n, m)
     command, heading = act(state, phi)
-    got, got_heading = act(moved(state, angle, shift), phi + angle)
-    assert_near(got, turned(command, math.cos(angle), math.sin(angle)), 1e-6)
+    result, got_heading = act(moved(state, angle, shift), phi + angle)
+    assert_near(result, turned(command, math.cos(angle), math.sin(angle)), 1e-6)
     assert angle_between(got_heading, float(heading) + angle) < 1e-9
 
 

@@ -140,8 +140,8 @@ def test_the_comparison_meets_every_role_and_every_kind_of_way() -> None:
         met['collect'] += int((far > 20 ** (2 / 3)).any())
         met['drive'] += int((far > 20 ** (2 / 3)).sum() < 4)
         straight = expected(state, noise=0.0, arc_tolerance=4.0, stop_range=0.0)
-        way = expected(state, noise=0.0, stop_range=0.0)
-        about = np.abs(way - straight).max(axis=-1) > 1e-9
+        direction = expected(state, noise=0.0, stop_range=0.0)
+        about = np.abs(direction - straight).max(axis=-1) > 1e-9
         inside = ((state.shepherds - center).norm(dim=-1) < far.max() + 3 - 0.5).numpy()
         met['stop'] += int(stop.sum())
         met['spiral'] += int((about & inside).sum())
@@ -245,8 +245,8 @@ def test_a_shepherd_slows_down_to_arrive_and_not_to_overshoot() -> None:
     state = state_of(sheep, [[2.2, 0.1]], goal=[-50.0, 0.0])  # its place is (2, 0)
     command = act(state, WorldConfig(dt=0.5), noise=0.0, stop_range=0.0)
     assert_near(command, [[-0.4, -0.2]], 1e-9)
-    there = replace(state, shepherds=torch.tensor([[2.0, 0.0]], dtype=DOUBLE))
-    assert_near(act(there, noise=0.0, stop_range=0.0), [[0.0, 0.0]], 1e-9)
+    present = replace(state, shepherds=torch.tensor([[2.0, 0.0]], dtype=DOUBLE))
+    assert_near(act(present, noise=0.0, stop_range=0.0), [[0.0, 0.0]], 1e-9)
 
 
 def test_a_shepherd_stands_still_while_a_sheep_is_near_and_only_then() -> None:
@@ -292,9 +292,9 @@ def test_a_detour_goes_round_the_flock_at_top_speed_and_straight_to_its_bearing(
     for start, bearing in product(
         (0.7, 3.0, 6.5, 9.0, 14.0, 30.0), (0.3, 1.0, 2.0, 2.9, -3.1, -2.0, -0.5)
     ):
-        way = torch.tensor([math.cos(bearing), math.sin(bearing)], dtype=DOUBLE)
+        direction = torch.tensor([math.cos(bearing), math.sin(bearing)], dtype=DOUBLE)
         starts.append(start)
-        states.append(state_of(sheep, center + start * way, goal=[-50.0, -2.0]))
+        states.append(state_of(sheep, center + start * direction, goal=[-50.0, -2.0]))
     for dt in (0.1, 0.5, 1.0):
         places, commands = walk(batch(states), int(60 / dt), WorldConfig(dt=dt))
         for b, start in enumerate(starts):
@@ -333,8 +333,8 @@ def test_a_shepherd_goes_round_on_the_shorter_side() -> None:
 def test_a_shepherd_whose_way_misses_the_flock_goes_straight() -> None:
     sheep = [[0.0, 0.0]]
     state = state_of(sheep, [[-1.0, 30.0]], goal=[-50.0, 0.0])
-    way = torch.tensor([[2.0, -30.0]], dtype=DOUBLE)
-    assert_near(act(state, noise=0.0), way / way.norm(), 1e-9)
+    direction = torch.tensor([[2.0, -30.0]], dtype=DOUBLE)
+    assert_near(act(state, noise=0.0), direction / direction.norm(), 1e-9)
 
 
 # --- symmetries and batches ---------------------------------------------------------------------
@@ -352,8 +352,8 @@ def test_commands_turn_with_the_world_and_do_not_depend_on_where_it_is(
     seed: int, angle: float, shift: tuple[float, float], n: int, m: int
 ) -> None:
     state = ring_state(seed, n, m)
-    got = act(moved(state, angle, shift), noise=0.0)
-    assert_near(got, turned(act(state, noise=0.0), math.cos(angle), math.sin(angle)), 1e-7)
+    result = act(moved(state, angle, shift), noise=0.0)
+    assert_near(result, turned(act(state, noise=0.0), math.cos(angle), math.sin(angle)), 1e-7)
 
 
 def test_a_batch_equals_each_world_alone_bit_for_bit() -> None:

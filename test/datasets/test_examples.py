@@ -140,9 +140,9 @@ def test_a_built_folder_has_the_files_and_columns_of_lerobot(bags: Path, tmp_pat
     episodes = parquet.read_table(out / EPISODES_PATH).to_pylist()
     assert len(episodes) == info['total_episodes'] == columns['episode_index'].max() + 1
     for k, row in enumerate(episodes):
-        mine = slice(row['dataset_from_index'], row['dataset_to_index'])
-        assert (columns['episode_index'][mine] == k).all()
-        assert np.array_equal(columns['frame_index'][mine], np.arange(row['length']))
+        own = slice(row['dataset_from_index'], row['dataset_to_index'])
+        assert (columns['episode_index'][own] == k).all()
+        assert np.array_equal(columns['frame_index'][own], np.arange(row['length']))
         assert row['tasks'] == ['herd the flock into the goal']
         assert row['bag'] == f'episode_{row["seed"]:06d}'
     tasks = pandas.read_parquet(out / 'meta/tasks.parquet')  # as LeRobot does

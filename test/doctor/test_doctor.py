@@ -1,4 +1,4 @@
-"""What shepherd doctor finds: each check where all is well, and where one thing is wrong."""
+"""Checks of shepherd doctor, each where all is well and where one thing is wrong."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_domains(domain: str, level: str, tmp_path: Path, monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize(
-    ('said', 'peers', 'level'),
+    ('output', 'peers', 'level'),
     [
         ('', '', 'ok'),
         ('LOCALHOST', '', 'ok'),
@@ -142,9 +142,9 @@ def test_domains(domain: str, level: str, tmp_path: Path, monkeypatch: pytest.Mo
     ],
 )
 def test_discovery_ranges(
-    said: str, peers: str, level: str, monkeypatch: pytest.MonkeyPatch
+    output: str, peers: str, level: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', said)
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', output)
     monkeypatch.setenv('ROS_STATIC_PEERS', peers)
     assert only(dds_settings.check_discovery_range).level == level
 
@@ -217,9 +217,9 @@ def test_the_page_tells_all_and_the_exit_code_the_worst(
     ]
     monkeypatch.setattr(checks, 'run_checks', lambda: iter(sound))
     assert main(['doctor']) == 0
-    said = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
-    assert said[-1] == '1 ok, 1 warning, 0 errors'
-    assert said[-4:-2] == ['warning  domain  odd', ' ' * 17 + '→ do']
+    output = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
+    assert output[-1] == '1 ok, 1 warning, 0 errors'
+    assert output[-4:-2] == ['warning  domain  odd', ' ' * 17 + '→ do']
     broken = [('installation', finding) for finding in checks.guarded(raising)]
     monkeypatch.setattr(checks, 'run_checks', lambda: iter(broken))
     assert main(['doctor', '--json']) == 1

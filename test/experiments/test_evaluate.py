@@ -214,8 +214,8 @@ def test_rows_of_other_code_are_kept_and_named(
     assert 'other code' not in capsys.readouterr().out
     monkeypatch.setattr(evaluate_verb, 'commit', lambda: 'newer')
     assert main([*words, '--controllers', 'idle', 'random']) == 0
-    said = ' '.join(capsys.readouterr().out.split())
-    assert 'done by other code: older; this is newer, give another --out' in said
+    output = ' '.join(capsys.readouterr().out.split())
+    assert 'done by other code: older; this is newer, give another --out' in output
     assert read_results([tmp_path]).distinct('code') == ['newer', 'older']
 
 
@@ -279,21 +279,21 @@ def test_a_figure_ends_early_once_its_verdicts_are_certain(
 ) -> None:
     words = ['evaluate', '4', '5', '--sheep', '3', '--steps', '2', '--controllers', 'idle']
     words += ['--stop-early', '--episodes', '120', '--out', str(tmp_path)]
-    asked: list[tuple[str, int]] = []
+    requested: list[tuple[str, int]] = []
 
     def certain(samples: Samples, primary: str) -> bool:
-        asked.append((samples.experiment.name, len(samples.seeds)))
+        requested.append((samples.experiment.name, len(samples.seeds)))
         return samples.experiment.name == 'fig4'
 
     monkeypatch.setattr(stopping, 'is_certain', certain)
     assert main(words) == 0
-    assert asked == [('fig4', 50), ('fig5', 50), ('fig5', 100)]
+    assert requested == [('fig4', 50), ('fig5', 50), ('fig5', 100)]
     rows = read_results([tmp_path])
     teams = rows.columns['shepherds']
     assert {int(m): int((teams == m).sum()) for m in set(teams)} == dict.fromkeys(range(1, 7), 120)
-    said = capsys.readouterr().out
-    assert 'fig4: all verdicts are certain after 50 episodes' in said
-    assert 'all episodes would be about' in said
+    output = capsys.readouterr().out
+    assert 'fig4: all verdicts are certain after 50 episodes' in output
+    assert 'all episodes would be about' in output
     assert (tmp_path / 'fig4.md').exists()
     assert main([*words, '--shard', '1/2']) == 2
     assert 'expected no --shard' in capsys.readouterr().err

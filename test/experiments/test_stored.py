@@ -233,21 +233,21 @@ def test_rows_of_what_is_not_known_here_are_kept_and_found_by_nothing(tmp_path: 
 
 def test_a_run_goes_on_after_an_option_was_added(tmp_path: Path) -> None:
     run = PPORunConfig(samples=300, ppo=PPOConfig(minibatch_size=16))
-    asked = {'policy': PolicyConfig(), 'run': run, 'pretrained': ''}
-    RunFolder(tmp_path, {'config': asked})
+    requested = {'policy': PolicyConfig(), 'run': run, 'pretrained': ''}
+    RunFolder(tmp_path, {'config': requested})
     file = tmp_path / 'run.json'
     data = json.loads(file.read_text())
     assert data['config']['run'] == run.to_dict()
     del data['config']['run']['task']['effort'], data['config']['policy']['network']['min_std']
     file.write_text(json.dumps(data))
-    assert RunFolder(tmp_path, {'config': asked}).record['config']['run'] == run.to_dict()
+    assert RunFolder(tmp_path, {'config': requested}).record['config']['run'] == run.to_dict()
     for other in (
         {'run': replace(run, task=TaskConfig(effort=0.1))},
         {'policy': PolicyConfig(network=NetworkConfig(hidden=8))},
         {'pretrained': 'imitation'},
     ):
         with pytest.raises(ConfigError, match='holds a run with another configuration'):
-            RunFolder(tmp_path, {'config': asked | other})
+            RunFolder(tmp_path, {'config': requested | other})
 
 
 def test_an_episode_that_was_described_before_an_option_came_has_its_default() -> None:

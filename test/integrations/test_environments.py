@@ -46,18 +46,18 @@ def test_vector_environments_are_those_of_the_core(observation: ObservationConfi
         assert np.array_equal(seen, expected)
         assert env.observation_space.contains(seen)
         action = draw.uniform(-1, 1, (6, 2)).astype(np.float32)
-        way = torch.from_numpy(action).unflatten(0, (3, 2)) * 0.8
-        command = rotate_by_ray(way, first_ray(stack[..., -1, :, :], observation), 512)
+        direction = torch.from_numpy(action).unflatten(0, (3, 2)) * 0.8
+        command = rotate_by_ray(direction, first_ray(stack[..., -1, :, :], observation), 512)
         seen, reward, terminated, truncated, info = env.step(action)
-        stack, gained, _, _, told = core.step(command)
+        stack, gained, _, _, output = core.step(command)
         assert np.array_equal(reward, gained.repeat_interleave(2))
         assert not terminated.any()
         assert truncated.all() == truncated.any() == (step % 7 == 0)
         if truncated.any():
-            final = network_input(told['final_observation'], observation, 75.0).flatten(0, 1)
+            final = network_input(output['final_observation'], observation, 75.0).flatten(0, 1)
             assert np.array_equal(info['final_obs'], final)
             assert info['_final_obs'].all()
-            reached = told['final_metrics']['fraction_reached'].repeat_interleave(2)
+            reached = output['final_metrics']['fraction_reached'].repeat_interleave(2)
             assert np.array_equal(info['final_info']['fraction_reached'], reached)
 
 
@@ -91,11 +91,11 @@ def test_one_shepherd_has_an_id_that_both_checkers_accept() -> None:
         assert np.array_equal(seen, expected[0])
         actions = many.action_space.sample()
         seen, reward, _, ended, info = single.step(actions[0])
-        expected, gained, _, _, told = many.step(actions)
+        expected, gained, _, _, output = many.step(actions)
         assert reward == gained[0]
     assert ended
-    assert np.array_equal(seen, told['final_obs'][0])
-    assert info['fraction_reached'] == told['final_info']['fraction_reached'][0]
+    assert np.array_equal(seen, output['final_obs'][0])
+    assert info['fraction_reached'] == output['final_info']['fraction_reached'][0]
     with pytest.raises(ConfigError, match='n_shepherds is 2: expected 1; take HerdingVectorEnv'):
         gymnasium.make('shepherd_ros/Herding-v0', config=CONFIG)
 
@@ -145,12 +145,12 @@ def test_a_parallel_environment_is_one_world_of_the_vector_environment() -> None
         assert np.array_equal(np.stack(list(seen.values())), expected)
         action = many.action_space.sample()
         seen, reward, _, truncated, info = one.step(dict(zip(one.agents, action, strict=True)))
-        expected, gained, _, _, told = many.step(action)
+        expected, gained, _, _, output = many.step(action)
         assert list(reward.values()) == gained.tolist()
     assert all(truncated.values())
     assert one.agents == []
-    assert np.array_equal(np.stack(list(seen.values())), told['final_obs'])
-    assert info['shepherd_0']['fraction_reached'] == told['final_info']['fraction_reached'][0]
+    assert np.array_equal(np.stack(list(seen.values())), output['final_obs'])
+    assert info['shepherd_0']['fraction_reached'] == output['final_info']['fraction_reached'][0]
 
 
 def test_what_cannot_be_is_refused() -> None:

@@ -38,7 +38,7 @@ def test_worlds_are_those_of_gymnasium_with_actions_held(hold: int) -> None:
         seen, reward, done, infos = env.step(action)
         gains = []
         for _ in range(hold):
-            expected, gain, _, ended, told = core.step(action)
+            expected, gain, _, ended, printed = core.step(action)
             gains.append(gain)
         assert np.array_equal(seen, expected)
         np.testing.assert_allclose(reward, sum(gains), rtol=1e-6)
@@ -47,8 +47,8 @@ def test_worlds_are_those_of_gymnasium_with_actions_held(hold: int) -> None:
             assert info['TimeLimit.truncated'] == done[i]  # so that PPO bootstraps the value
             assert ('terminal_observation' in info) == done[i]
             if done[i]:
-                assert np.array_equal(info['terminal_observation'], told['final_obs'][i])
-                reached = told['final_info']['fraction_reached'][i]
+                assert np.array_equal(info['terminal_observation'], printed['final_obs'][i])
+                reached = printed['final_info']['fraction_reached'][i]
                 assert info['metrics']['fraction_reached'] == reached
 
 
@@ -94,9 +94,9 @@ def test_the_script_trains_and_saves_a_model(
     words = [f'--{name}={value}' for name, value in options.items()]
     monkeypatch.setattr(sys, 'argv', [str(SCRIPT), *words])
     runpy.run_path(str(SCRIPT), run_name='__main__')
-    said = capsys.readouterr().out
-    assert 'before: {' in said
-    assert 'after:  {' in said
+    output = capsys.readouterr().out
+    assert 'before: {' in output
+    assert 'after:  {' in output
     model = PPO.load(out, device='cpu')
     assert model.num_timesteps == 400
     action, _ = model.predict(np.zeros((5, 9, 64), np.float32), deterministic=True)

@@ -268,13 +268,13 @@ KINDS: dict[str, tuple[Callable[[Path, Path, random.Random], str], Callable[[Pat
 }
 
 
-def main(seeds: Path, work: Path, asked: list[str]) -> None:
+def main(seeds: Path, work: Path, requested: list[str]) -> None:
     """Run cases and print how they ended."""
-    watching, heard = [False], []
+    watching, received = [False], []
 
     def hear(event: str, arguments: Any) -> None:
         if watching[0] and event in FORBIDDEN:
-            heard.append(f'{event} {arguments!r:.200}')
+            received.append(f'{event} {arguments!r:.200}')
 
     os.chdir(work)
     # as deep as from the shell, where a fork begins deeper
@@ -289,8 +289,8 @@ def main(seeds: Path, work: Path, asked: list[str]) -> None:
     watching[0] = True
     pickle.loads(pickle.dumps(Trap()))
     watching[0] = False
-    assert heard and (work / 'trap').exists(), 'the hook does not hear'
-    heard.clear()
+    assert received and (work / 'trap').exists(), 'the hook does not hear'
+    received.clear()
     clear(work)
     pages = int(Path('/proc/self/statm').read_text().split()[0])
     limit = pages * resource.getpagesize() + MEMORY
@@ -299,7 +299,7 @@ def main(seeds: Path, work: Path, asked: list[str]) -> None:
     signal.signal(signal.SIGPROF, fuzz.stop)
     ends: Counter[str] = Counter()
     bad = []
-    for kind, count in (words.split(':') for words in asked):
+    for kind, count in (words.split(':') for words in requested):
         make, walk = KINDS[kind]
         for number in range(int(count)):
             what = f'{kind} {number}, {make(seeds, work, random.Random(number))}'
@@ -319,9 +319,9 @@ def main(seeds: Path, work: Path, asked: list[str]) -> None:
                 bad.append(f'{what}: {traceback.format_exc()[-1500:]}')
             finally:
                 signal.setitimer(signal.ITIMER_PROF, 0)
-            if heard or (work / 'trap').exists():
-                bad.append(f'{what}: it ran {heard}')
-                heard.clear()
+            if received or (work / 'trap').exists():
+                bad.append(f'{what}: it ran {received}')
+                received.clear()
             clear(work)
     print(json.dumps({'ends': ends, 'bad': bad, 'more': peak() - before}))
 

@@ -1,4 +1,4 @@
-"""What a learner visits is kept as bags like any other, from which its labels can be cloned."""
+"""States that a learner visits are bags like any other, from which its labels can be cloned."""
 
 from __future__ import annotations
 
@@ -83,11 +83,11 @@ def test_the_commands_are_those_that_moved_the_world(tmp_path: Path, teacher_dri
         assert len(episode.frames) == len(labelled.frames)
         assert episode.episode_steps == STEPS
         differ = 0
-        for a, b, told in zip(episode.frames, episode.frames[1:], labelled.frames, strict=False):
+        for a, b, output in zip(episode.frames, episode.frames[1:], labelled.frames, strict=False):
             command = np.array(a.commands)
             moved = (b.shepherds - a.shepherds) / episode.dt
             np.testing.assert_allclose(moved, command, atol=1e-4)
-            differ += not np.array_equal(command, np.array(told.commands))
+            differ += not np.array_equal(command, np.array(output.commands))
         assert (differ == 0) == teacher_drives
         assert not any(c is not None for c in episode.frames[-1].commands)
     assert {len(next(iter_episodes(open_bag(p))).frames) for p in paths} == {STEPS + 1, 4 + 1}

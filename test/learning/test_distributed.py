@@ -59,11 +59,11 @@ def updated() -> dict[str, Tensor]:
     action = mean + std * torch.randn(COUNT, 2)
     density = (-0.5 * ((action - mean) / std).square() - std.log()).sum(dim=-1)
     value, gain = torch.randn(COUNT), torch.randn(COUNT) + 0.5
-    mine = torch.arange(COUNT)
+    own = torch.arange(COUNT)
     if ranks() == 2:
-        mine = mine[:FIRST] if rank() == 0 else mine[FIRST:]
+        own = own[:FIRST] if rank() == 0 else own[FIRST:]
     batch = Batch(
-        mine[:, None], torch.zeros_like(mine), action[mine], density[mine], value[mine], gain[mine]
+        own[:, None], torch.zeros_like(own), action[own], density[own], value[own], gain[own]
     )
     config = PPOConfig(
         update_epochs=3,
@@ -155,9 +155,9 @@ def test_a_state_of_another_number_of_processes_is_refused(
     trained: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['train', 'ppo', *TINY.split(), '--out', str(trained)]) == 2
-    said = capsys.readouterr().err
-    assert '2 processes, expected 1' in said
-    assert 'remove it to start anew' in said
+    output = capsys.readouterr().err
+    assert '2 processes, expected 1' in output
+    assert 'remove it to start anew' in output
 
 
 if __name__ == '__main__':

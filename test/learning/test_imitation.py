@@ -73,15 +73,15 @@ def test_examples_of_a_bag_are_what_the_environment_shows_and_the_controller_doe
     stack, _ = env.reset(5)
     memory = law.begin(env.perceived)
     report = Report()
-    got = examples_in(episode_of(bags), report)
-    assert len(got) == report.examples == report.steps == 2 * STEPS
+    result = examples_in(episode_of(bags), report)
+    assert len(result) == report.examples == report.steps == 2 * STEPS
     assert not report.drops
-    frames = got.frames()
+    frames = result.frames()
     for t in range(STEPS):
         command, memory = law.act(env.perceived, memory)
         assert stack is not None
         assert torch.equal(frames[2 * t : 2 * t + 2], stack[0])
-        torch.testing.assert_close(got.wanted[2 * t : 2 * t + 2], command[0])
+        torch.testing.assert_close(result.wanted[2 * t : 2 * t + 2], command[0])
         stack, *_ = env.step(command)
 
 
@@ -92,7 +92,7 @@ def test_steps_that_are_not_whole_are_dropped_by_name(bags: Path) -> None:
     frames[7] = replace(frames[7], scans=[None, frames[7].scans[1]])
     del frames[2]
     report = Report()
-    got = examples_in(replace(episode, frames=frames), report)
+    result = examples_in(replace(episode, frames=frames), report)
     # nobody has a step 2, which is in the stacks of 5 and 8; shepherd 0 has no whole steps 4 and
     # 7, which are both in the stack of 10
     assert report.steps == 2 * STEPS
@@ -106,7 +106,7 @@ def test_steps_that_are_not_whole_are_dropped_by_name(bags: Path) -> None:
         'no scan': 'bag:0, step 7, shepherd_0',
         'an earlier frame is missing': 'bag:0, step 5, shepherd_0',
     }
-    assert len(got) == report.steps - 9 == report.examples
+    assert len(result) == report.steps - 9 == report.examples
     for words in ('no command', 'bag:0, step 4, shepherd_0', 'examples:  15'):
         assert words in report.text()
 
@@ -134,13 +134,13 @@ def test_frames_of_examples_are_chosen_by_time_whatever_the_time_step(dt: float)
 def test_bags_that_do_not_fit_the_policy_are_refused(bags: Path, tmp_path: Path) -> None:
     few = replace(CONFIG, lidar=replace(CONFIG.lidar, n_rays=256))
     episode, report = episode_of(bags), Report()
-    for lidars, told in (
+    for lidars, output in (
         ({(75.0, 1.57)}, 'angle_min 1.57 rad, expected 0'),
         ({(75.0, 0.0), (30.0, 0.0)}, r'range_max \[30.0, 75.0\] m, expected one lidar'),
         ({(30.0, 0.0)}, 'range_max 30.0 m, expected 75.0 m'),
     ):
         frames = [replace(frame, lidars=frozenset(lidars)) for frame in episode.frames]
-        with pytest.raises(ConfigError, match=told):
+        with pytest.raises(ConfigError, match=output):
             require_fit(steps_of(replace(episode, frames=frames), 'bag', 0, report.refuse), CONFIG)
     with pytest.raises(ConfigError, match='scans have 512 rays, expected 256'):
         list(stream_examples([bags], policy_of(few), Report()))
@@ -161,10 +161,10 @@ def test_bags_come_in_an_order_of_the_seed_and_all_of_them(bags: Path) -> None:
 
 
 def test_wanted_actions_are_relative_to_the_ray_in_front(bags: Path) -> None:
-    got = examples_in(episode_of(bags), Report())
+    result = examples_in(episode_of(bags), Report())
     (_, first, wanted), _ = stream_examples([bags], policy_of(), Report())
     assert (first != 0).any()
-    torch.testing.assert_close(rotate_by_ray(wanted, first, 512), got.wanted, atol=1e-5, rtol=0)
+    torch.testing.assert_close(rotate_by_ray(wanted, first, 512), result.wanted, atol=1e-5, rtol=0)
 
 
 def test_a_store_keeps_the_newest_examples() -> None:
@@ -257,8 +257,8 @@ def test_a_lesson_keeps_what_the_teacher_would_do_where_the_learner_is() -> None
     lesson.run(1, False, examples)
     expected = label[start.shepherd_mask]
     count = len(expected)
-    got = rotate_by_ray(examples.wanted[:count], examples.first[:count], 512)
-    torch.testing.assert_close(got, expected, atol=1e-5, rtol=0)
+    result = rotate_by_ray(examples.wanted[:count], examples.first[:count], 512)
+    torch.testing.assert_close(result, expected, atol=1e-5, rtol=0)
     # the learner drove
     frames = examples.frames[:count]
     action = policy.actor(policy.arrange(frames, examples.first[:count]))[0]

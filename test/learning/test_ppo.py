@@ -30,29 +30,29 @@ def column(*values: float) -> Tensor:
 
 def test_advantages_by_hand() -> None:
     # gamma 1/2, lambda 1/2: errors are 1 + 4/2 - 2 = 1, 0 + 8/2 - 4 = 0, 2 + 2/2 - 8 = -5
-    got = advantages(
+    result = advantages(
         column(1, 0, 2), column(2, 4, 8), column(4, 8, 2), column(0, 0, 0).bool(), 0.5, 0.5
     )
-    assert got[:, 0].tolist() == [1 + (0 - 5 / 4) / 4, -5 / 4, -5]
+    assert result[:, 0].tolist() == [1 + (0 - 5 / 4) / 4, -5 / 4, -5]
 
 
 def test_advantages_do_not_reach_over_an_end_which_is_bootstrapped() -> None:
     reward, value, ended = column(1, 1, 1), column(0, 0, 0), column(0, 1, 0).bool()
     # the last value of the first episode is 6, that of the running one 2
     following = column(0, 6, 2)
-    got = advantages(reward, value, following, ended, 0.5, 1.0)
-    assert got[:, 0].tolist() == [1 + 0.5 * 4, 1 + 3, 1 + 1]
+    result = advantages(reward, value, following, ended, 0.5, 1.0)
+    assert result[:, 0].tolist() == [1 + 0.5 * 4, 1 + 3, 1 + 1]
 
 
 def test_with_lambda_one_an_advantage_is_the_discounted_return_less_the_value() -> None:
     torch.manual_seed(0)
     reward, value, last = torch.randn(6, 3), torch.randn(6, 3), torch.randn(1, 3)
     following = torch.cat([value[1:], last])
-    got = advantages(reward, value, following, torch.zeros(6, 1).bool(), 0.9, 1.0)
+    result = advantages(reward, value, following, torch.zeros(6, 1).bool(), 0.9, 1.0)
     for t in range(6):
         powers = 0.9 ** torch.arange(6 - t)
         returned = (powers[:, None] * reward[t:]).sum(dim=0) + 0.9 ** (6 - t) * last[0]
-        torch.testing.assert_close(got[t], returned - value[t], atol=1e-5, rtol=1e-5)
+        torch.testing.assert_close(result[t], returned - value[t], atol=1e-5, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -60,8 +60,8 @@ def test_with_lambda_one_an_advantage_is_the_discounted_return_less_the_value() 
     [(1.0, 2.0, -2.0), (1.5, 2.0, -2.4), (0.5, 2.0, -1.0), (1.5, -2.0, 3.0), (0.5, -2.0, 1.6)],
 )
 def test_the_clipped_loss_by_hand(ratio: float, advantage: float, loss: float) -> None:
-    got = clipped_loss(torch.tensor([ratio]), torch.tensor([advantage]), 0.2)
-    assert got.item() == pytest.approx(loss)
+    result = clipped_loss(torch.tensor([ratio]), torch.tensor([advantage]), 0.2)
+    assert result.item() == pytest.approx(loss)
 
 
 def test_the_divergence_of_two_normals_is_estimated() -> None:
@@ -74,10 +74,10 @@ def test_the_divergence_of_two_normals_is_estimated() -> None:
 
 
 def test_the_density_of_a_normal_by_hand() -> None:
-    got = log_prob(
+    result = log_prob(
         torch.tensor([[1.0, 2.0]]), torch.tensor([[0.0, 2.0]]), torch.tensor([[2.0, 0.5]])
     )
-    assert got.item() == pytest.approx(-1 / 8 - math.log(2.0) - math.log(0.5))
+    assert result.item() == pytest.approx(-1 / 8 - math.log(2.0) - math.log(0.5))
 
 
 def test_explained_variance_is_one_for_a_perfect_guess_and_zero_for_the_mean() -> None:
@@ -137,8 +137,8 @@ def test_the_kept_policy_is_the_running_mean_of_the_weights() -> None:
         learner.average.update_parameters(policy.actor)
         # the first value is taken over whole
         expected = bias.clone() if k == 0 else 0.75 * expected + 0.25 * bias
-    kept = learner.averaged()
-    torch.testing.assert_close(kept.actor.head.bias, expected)
+    stored = learner.averaged()
+    torch.testing.assert_close(stored.actor.head.bias, expected)
     assert bias.tolist() == [0, 3, 6, 9]  # learning itself goes on from the newest
     for name, value in policy.critic.state_dict().items():
-        assert value.equal(kept.critic.state_dict()[name])
+        assert value.equal(stored.critic.state_dict()[name])

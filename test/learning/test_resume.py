@@ -146,8 +146,8 @@ def test_signals_save_the_state_and_end_with_their_exit_code(
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
         learn(kind, cut, bags, cut_after(1, signal.SIGINT))
-    kept = torch.load(cut / 'state.pt', weights_only=True)
-    assert len(kept['ranks']) == 1
+    stored = torch.load(cut / 'state.pt', weights_only=True)
+    assert len(stored['ranks']) == 1
     seen: list[Line] = []
 
     def watch(line: Line) -> None:
@@ -271,17 +271,17 @@ def test_a_folder_that_cannot_be_used_is_told(tmp_path: Path, bags: Path) -> Non
         RunFolder(tmp_path / 'run.json', {'config': {'seed': 1}})
     folder = tmp_path / 'run'
     learn('ppo', folder, bags)
-    kept = torch.load(folder / 'state.pt', weights_only=True)
-    rollout = kept['ranks'][0]['rollout'] | {'generator': torch.zeros(16, dtype=torch.uint8)}
-    gpu = kept | {'ranks': [kept['ranks'][0] | {'rollout': rollout}]}
-    for other in (b'torn', {'a': 1}, gpu, kept | {'ranks': kept['ranks'] * 2}):
+    stored = torch.load(folder / 'state.pt', weights_only=True)
+    rollout = stored['ranks'][0]['rollout'] | {'generator': torch.zeros(16, dtype=torch.uint8)}
+    gpu = stored | {'ranks': [stored['ranks'][0] | {'rollout': rollout}]}
+    for other in (b'torn', {'a': 1}, gpu, stored | {'ranks': stored['ranks'] * 2}):
         if isinstance(other, bytes):
             (folder / 'state.pt').write_bytes(other)
         else:
             torch.save(other, folder / 'state.pt')
         with pytest.raises(ConfigError, match=r'state.pt cannot be read .*remove it to start'):
             learn('ppo', folder, bags)
-    torch.save(kept, folder / 'state.pt')
+    torch.save(stored, folder / 'state.pt')
     (folder / 'curve.jsonl').unlink()
     with pytest.raises(ConfigError, match=r'curve.jsonl has 0 lines: expected'):
         learn('ppo', folder, bags)
@@ -346,4 +346,4 @@ def test_labels_are_of_the_step_of_their_frames_when_actions_are_held() -> None:
 
     worlds.run(10, False, Kept())  # type: ignore[arg-type]
     assert len(newest) == 3  # steps 0, 4 and 8
-    assert all(torch.equal(seen, there) for seen, there in newest)
+    assert all(torch.equal(seen, existing) for seen, existing in newest)

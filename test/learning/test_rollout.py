@@ -1,4 +1,4 @@
-"""What a rollout gives to the learner is what happened in the environment."""
+"""A rollout gives the learner what happened in the environment."""
 
 from __future__ import annotations
 

@@ -236,7 +236,7 @@ class Graph:
         self.executor.add_node(self.node)
         self.hosted: list[ShepherdNode] = []
         self.processes: list[Process] = []
-        self._heard: dict[tuple[str, Any], list[Any]] = {}
+        self._received: dict[tuple[str, Any], list[Any]] = {}
 
     def close(self) -> None:
         """End everything."""
@@ -318,14 +318,14 @@ class Graph:
 
     def collect(self, topic: str, kind: Any, qos: QoSProfile = RELIABLE) -> list[Any]:
         """Return the list into which messages of a topic will come."""
-        heard: list[Any] = []
-        self.node.create_subscription(kind, topic, heard.append, qos)
-        return heard
+        received: list[Any] = []
+        self.node.create_subscription(kind, topic, received.append, qos)
+        return received
 
     def _common(self, topic: str, kind: Any, qos: QoSProfile) -> list[Any]:
-        if (topic, kind) not in self._heard:
-            self._heard[topic, kind] = self.collect(topic, kind, qos)
-        return self._heard[topic, kind]
+        if (topic, kind) not in self._received:
+            self._received[topic, kind] = self.collect(topic, kind, qos)
+        return self._received[topic, kind]
 
     def track(self, namespace: str = '') -> Track:
         """Return the track into which states of the world will come."""

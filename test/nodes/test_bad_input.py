@@ -110,9 +110,9 @@ def assert_refused(process: Process, pattern: str) -> None:
 
 def test_a_mistake_is_named_with_a_way_out(refusal: Callable[..., str]) -> None:
     for name, (executable, words, pattern) in REFUSED.items():
-        said = refusal(executable, *words.split())
-        assert re.search(pattern, said), f'{name}: {said}'
-        assert '/project/src' not in said
+        output = refusal(executable, *words.split())
+        assert re.search(pattern, output), f'{name}: {output}'
+        assert '/project/src' not in output
 
 
 @pytest.mark.parametrize('name', ['negative sheep', 'number for use_sim_time', 'bad remap'])
@@ -141,9 +141,9 @@ def test_a_bad_parameter_file_is_named_with_the_place(
         ('/**:\n  ros__parameters:\n    n_sheep: few\n', "n_sheep is 'few' .*expected int"),
     ):
         path.write_text(text)
-        said = refusal('flock_sim', '--params-file', str(path))
-        assert re.search(pattern, said), said
-        assert 'n_sheep is' in said or str(path) in said
+        output = refusal('flock_sim', '--params-file', str(path))
+        assert re.search(pattern, output), output
+        assert 'n_sheep is' in output or str(path) in output
     assert str(tmp_path) in refusal('lidar', '--params-file', str(tmp_path))
 
 
@@ -308,5 +308,5 @@ def test_a_command_faster_than_a_shepherd_is_cut_to_its_top_speed(
     publisher.publish(twist(track.last, 30.0, 40.0))
     graph.until(lambda: len(track.stamps) == 2, 'a step')
     first, second = track.stamps
-    way = track.shepherds(second) - track.shepherds(first)
-    assert torch.allclose(way, torch.tensor([[0.3, 0.4]]), atol=1e-5)  # 1 m/s for 0.5 s
+    direction = track.shepherds(second) - track.shepherds(first)
+    assert torch.allclose(direction, torch.tensor([[0.3, 0.4]]), atol=1e-5)  # 1 m/s for 0.5 s

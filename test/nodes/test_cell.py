@@ -40,12 +40,12 @@ def test_a_cell_over_topics_has_the_metrics_of_the_batched_one(
 
     def rows() -> list[tuple[float, ...]]:
         """Return the metrics as published; those of a state that was shown again count once."""
-        heard = zip(*values.values(), strict=False)
-        return [key for key, _ in groupby(tuple(m.data for m in row) for row in heard)]
+        received = zip(*values.values(), strict=False)
+        return [key for key, _ in groupby(tuple(m.data for m in row) for row in received)]
 
     count = EPISODES * (STEPS + 1)
     graph.until(lambda: len(rows()) >= count, lambda: f'{len(rows())} of {count} states')
     final = rows()[STEPS :: STEPS + 1]
     assert [row['seed'] for row in expected] == [SEED + k for k in range(EPISODES)]
-    for row, heard in zip(expected, final, strict=True):
-        assert heard == tuple(row[metric] for metric in METRICS)
+    for row, received in zip(expected, final, strict=True):
+        assert received == tuple(row[metric] for metric in METRICS)

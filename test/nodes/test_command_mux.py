@@ -52,14 +52,14 @@ def driver(mux: CommandMux, now: float, shepherd: int = 0) -> str | None:
 
 def test_the_source_of_highest_priority_that_is_not_silent_drives() -> None:
     mux = begun()
-    mux.hear('policy', 0, SPEED, 0, now=0.0)
+    mux.receive('policy', 0, SPEED, 0, now=0.0)
     assert driver(mux, 0.1) == 'policy'
-    mux.hear('keys', 0, SPEED, None, now=0.1)
+    mux.receive('keys', 0, SPEED, None, now=0.1)
     assert driver(mux, 0.6) == 'keys'
-    mux.hear('joy', 0, ZERO, None, now=0.6)  # zero is a command, too
-    mux.hear('keys', 0, SPEED, None, now=0.6)
+    mux.receive('joy', 0, ZERO, None, now=0.6)  # zero is a command, too
+    mux.receive('keys', 0, SPEED, None, now=0.6)
     assert mux.choose(0, 0.6) == Choice('joy', ZERO, 0)
-    mux.hear('keys', 0, SPEED, None, now=1.1)
+    mux.receive('keys', 0, SPEED, None, now=1.1)
     assert driver(mux, 1.2) == 'keys'  # joy is silent for 0.6 s
     assert driver(mux, 1.7) == 'policy'
 
@@ -87,17 +87,17 @@ def test_a_priority_that_means_nothing_is_refused_by_name(
 
 def test_a_source_that_answers_is_waited_for_up_to_its_timeout_and_once() -> None:
     mux = begun()
-    mux.hear('policy', 0, SPEED, 0, now=0.0)
+    mux.receive('policy', 0, SPEED, 0, now=0.0)
     mux.show(1, now=1.0)
     assert mux.choose(0, 1.0) is None
     assert mux.choose(0, 4.0) is None
     assert mux.choose(0, 4.01) == Choice(None, ZERO, 1)
     mux.show(2, now=4.1)
     assert mux.choose(0, 4.1) == Choice(None, ZERO, 2)  # it is known to be silent
-    mux.hear('policy', 0, SPEED, 1, now=4.2)  # too late, but it is there again
+    mux.receive('policy', 0, SPEED, 1, now=4.2)  # too late, but it is there again
     mux.show(3, now=4.3)
     assert mux.choose(0, 4.3) is None
-    mux.hear('policy', 0, SPEED, 3, now=4.4)
+    mux.receive('policy', 0, SPEED, 3, now=4.4)
     assert mux.choose(0, 4.4) == Choice('policy', SPEED, 3)
     assert mux.choose(0, 99.0) == Choice('policy', SPEED, 3)  # a paused world asks for no more
 
@@ -107,16 +107,16 @@ def test_the_default_source_may_take_long_to_start_and_others_are_not_waited_for
     assert mux.choose(0, 59.0) is None
     assert driver(mux, 60.1) is None
     mux = begun()
-    mux.hear('strombom', 0, SPEED, 0, now=0.5)
+    mux.receive('strombom', 0, SPEED, 0, now=0.5)
     assert mux.choose(0, 1.0) is None  # the default has a higher priority
-    mux.hear('policy', 0, SPEED, 0, now=2.0)
+    mux.receive('policy', 0, SPEED, 0, now=2.0)
     assert driver(mux, 2.0) == 'policy'
 
 
 def test_an_answer_that_comes_before_its_state_counts_when_that_comes() -> None:
     mux = begun()
-    mux.hear('policy', 0, SPEED, 0, now=0.0)
-    mux.hear('policy', 0, SPEED, 500, now=0.1)
+    mux.receive('policy', 0, SPEED, 0, now=0.0)
+    mux.receive('policy', 0, SPEED, 500, now=0.1)
     mux.show(500, now=0.2)
     assert mux.choose(0, 0.2) == Choice('policy', SPEED, 500)
 
@@ -124,22 +124,22 @@ def test_an_answer_that_comes_before_its_state_counts_when_that_comes() -> None:
 def test_a_source_that_stands_by_takes_over_from_one_that_is_silent() -> None:
     mux = begun()
     for name in ('policy', 'strombom'):
-        mux.hear(name, 0, SPEED, 0, now=0.0)
+        mux.receive(name, 0, SPEED, 0, now=0.0)
     mux.show(1, now=1.0)
-    mux.hear('strombom', 0, SPEED, 1, now=1.1)
+    mux.receive('strombom', 0, SPEED, 1, now=1.1)
     assert mux.choose(0, 3.9) is None
     assert driver(mux, 4.1) == 'strombom'
 
 
 def test_what_is_selected_and_silent_gives_zero_at_once() -> None:
     mux = begun()
-    mux.hear('policy', 0, SPEED, 0, now=0.0)
+    mux.receive('policy', 0, SPEED, 0, now=0.0)
     mux.select('keys', None, now=0.1)
     assert mux.choose(0, 0.1) == Choice(None, ZERO, 0)
-    mux.hear('keys', 0, SPEED, None, now=0.2)
+    mux.receive('keys', 0, SPEED, None, now=0.2)
     assert driver(mux, 0.7) == 'keys'
     assert mux.choose(0, 0.71) == Choice(None, ZERO, 0)
-    mux.hear('joy', 0, SPEED, None, now=0.8)
+    mux.receive('joy', 0, SPEED, None, now=0.8)
     assert driver(mux, 0.8) is None  # priorities do not count
     mux.select(AUTO, 0, now=0.8)
     assert driver(mux, 0.8) == 'joy'
@@ -148,7 +148,7 @@ def test_what_is_selected_and_silent_gives_zero_at_once() -> None:
 def test_in_realtime_nothing_is_waited_for() -> None:
     mux = begun(lockstep=False)
     assert driver(mux, 0.0) is None
-    mux.hear('policy', 0, SPEED, 0, now=0.1)
+    mux.receive('policy', 0, SPEED, 0, now=0.1)
     mux.show(1, now=0.5)
     assert mux.choose(0, 0.6) == Choice('policy', SPEED, 0)
     assert driver(mux, 3.2) is None
@@ -159,23 +159,23 @@ def test_in_realtime_nothing_is_waited_for() -> None:
 
 def test_a_lock_stops_the_sources_of_lower_priority() -> None:
     mux = begun(STOP)
-    mux.hear('policy', 0, SPEED, 0, now=0.0)
-    mux.hear('keys', 0, SPEED, None, now=0.0)
-    mux.hear_lock('stop', True, now=0.0)
+    mux.receive('policy', 0, SPEED, 0, now=0.0)
+    mux.receive('keys', 0, SPEED, None, now=0.0)
+    mux.receive_lock('stop', True, now=0.0)
     assert mux.choose(0, 0.1) == Choice(None, ZERO, 0)
-    mux.hear('joy', 0, SPEED, None, now=0.1)
+    mux.receive('joy', 0, SPEED, None, now=0.1)
     assert driver(mux, 0.1) == 'joy'
     mux.select('keys', 0, now=0.1)
     assert driver(mux, 0.1) is None
-    mux.hear_lock('stop', False, now=0.2)
+    mux.receive_lock('stop', False, now=0.2)
     assert driver(mux, 0.2) == 'keys'
 
 
 def test_a_lock_with_a_timeout_locks_before_it_is_heard_and_when_it_is_silent() -> None:
     mux = begun(ALIVE)
-    mux.hear('policy', 0, SPEED, 0, now=0.0)
+    mux.receive('policy', 0, SPEED, 0, now=0.0)
     assert driver(mux, 0.0) is None
-    mux.hear_lock('alive', False, now=0.1)
+    mux.receive_lock('alive', False, now=0.1)
     assert driver(mux, 1.0) == 'policy'
     assert driver(mux, 1.2) is None
 
@@ -183,7 +183,7 @@ def test_a_lock_with_a_timeout_locks_before_it_is_heard_and_when_it_is_silent() 
 def test_a_shepherd_that_is_locked_by_hand_has_no_driver_whatever_its_sources_say() -> None:
     mux = begun(team=2)
     for h in range(2):
-        mux.hear('joy', h, SPEED, None, now=0.0)
+        mux.receive('joy', h, SPEED, None, now=0.0)
     mux.lock(True, 1)
     assert (driver(mux, 0.1, 0), driver(mux, 0.1, 1)) == ('joy', None)
     mux.lock(True)
@@ -222,7 +222,7 @@ class Told:
     def __init__(self, lockstep: bool) -> None:
         """Begin with the first state."""
         self.lockstep, self.now, self.stamp, self.shown = lockstep, 0.0, 0, 0.0
-        self.heard: dict[tuple[str, int], tuple[float, int, float]] = {}  # when, stamp, speed
+        self.received: dict[tuple[str, int], tuple[float, int, float]] = {}  # when, stamp, speed
         self.selected = [AUTO] * TEAM
         self.locked = [False] * TEAM
         self.locks: dict[str, tuple[float, bool]] = {}
@@ -239,7 +239,7 @@ class Told:
 
     def ready(self, source: CommandSource, h: int) -> bool:
         """Return whether a source has a command for the present state."""
-        when, stamp, _ = self.heard.get((source.name, h), (-math.inf, -1, 0.0))
+        when, stamp, _ = self.received.get((source.name, h), (-math.inf, -1, 0.0))
         if source.answers and self.lockstep:
             return stamp == self.stamp
         return self.now - when <= source.timeout
@@ -265,7 +265,7 @@ class Told:
             assert choice.stamp_ns == self.stamp
         else:
             assert choice.driver == ready[0].name
-            _, stamp, speed = self.heard[choice.driver, h]
+            _, stamp, speed = self.received[choice.driver, h]
             assert choice.velocity == (speed, 0.0, 0.0)
             assert choice.stamp_ns == (stamp if ready[0].answers else self.stamp)
 
@@ -275,36 +275,42 @@ class Told:
 def test_one_source_or_zero_drives_each_shepherd_whatever_comes_goes_and_is_locked(
     lockstep: bool, events: list[tuple]
 ) -> None:
-    mux, told = begun(STOP, ALIVE, lockstep=lockstep, team=TEAM), Told(lockstep)
+    mux, output = begun(STOP, ALIVE, lockstep=lockstep, team=TEAM), Told(lockstep)
     for name, *values in events:
-        told.n += 1
+        output.n += 1
         if name == 'wait':
-            told.now += values[0]
+            output.now += values[0]
         elif name == 'state':
-            told.stamp, told.shown = told.stamp + 1, told.now
-            assert mux.show(told.stamp, told.now)
+            output.stamp, output.shown = output.stamp + 1, output.now
+            assert mux.show(output.stamp, output.now)
         elif name == 'hear':
             source, h, off = values
             answers = source in ('policy', 'strombom')
-            stamp = told.stamp + off if answers else None
-            mux.hear(source, h, (float(told.n), 0.0, 0.0), stamp, told.now)
-            told.heard[source, h] = told.now, told.stamp if stamp is None else stamp, told.n
+            stamp = output.stamp + off if answers else None
+            mux.receive(source, h, (float(output.n), 0.0, 0.0), stamp, output.now)
+            output.received[source, h] = (
+                output.now,
+                output.stamp if stamp is None else stamp,
+                output.n,
+            )
         elif name == 'select':
-            mux.select(*values, told.now)
+            mux.select(*values, output.now)
             for h in mux.team(values[1]):
-                told.selected[h] = values[0]
+                output.selected[h] = values[0]
         elif name == 'lock':
             mux.lock(*values)
             for h in mux.team(values[1]):
-                told.locked[h] = values[0]
+                output.locked[h] = values[0]
         else:
-            mux.hear_lock(*values, told.now)
-            told.locks[values[0]] = told.now, values[1]
-        assert not mux.show(told.stamp, told.now)  # a state that is shown again changes nothing
+            mux.receive_lock(*values, output.now)
+            output.locks[values[0]] = output.now, values[1]
+        assert not mux.show(
+            output.stamp, output.now
+        )  # a state that is shown again changes nothing
         for h in range(TEAM):
-            choice = mux.choose(h, told.now)
-            told.check(h, choice)
-            assert mux.choose(h, told.now) == choice
+            choice = mux.choose(h, output.now)
+            output.check(h, choice)
+            assert mux.choose(h, output.now) == choice
 
 
 @settings(max_examples=100, deadline=None)
@@ -314,10 +320,10 @@ def test_no_state_is_waited_on_for_ever(events: list[tuple]) -> None:
     act: dict[str, Callable[..., None]] = {
         'wait': lambda seconds: None,
         'state': lambda: None,
-        'hear': lambda source, h, off: mux.hear(source, h, SPEED, mux.stamp_ns + off, now),
+        'hear': lambda source, h, off: mux.receive(source, h, SPEED, mux.stamp_ns + off, now),
         'select': lambda source, h: mux.select(source, h, now),
         'lock': mux.lock,
-        'hear_lock': lambda lock, on: mux.hear_lock(lock, on, now),
+        'hear_lock': lambda lock, on: mux.receive_lock(lock, on, now),
     }
     for name, *values in events:
         act[name](*values)

@@ -75,7 +75,7 @@ def page(shared_graph: Graph, console: ConsoleNode) -> Iterator[TestPage]:
             and opened.last('world').get('settings')
             and opened.frames
         ),
-        lambda: f'what is there: {opened.told.keys()}',
+        lambda: f'what is there: {opened.messages.keys()}',
     )
     yield opened
     opened.close()
@@ -226,11 +226,11 @@ def test_garbage_closes_its_own_page_alone(
     bad = TestPage(page.address)
     bad.send_raw('{')
     bad.send_raw(b'\xff' * 1000)
-    shared_graph.until(lambda: len(bad.told['answer']) == 2, 'two answers')
-    assert all(not answer['ok'] for answer in bad.told['answer'])
+    shared_graph.until(lambda: len(bad.messages['answer']) == 2, 'two answers')
+    assert all(not answer['ok'] for answer in bad.messages['answer'])
     with suppress(WebSocketClosedError):
         bad.send_raw('x' * 2_000_000)
-    shared_graph.until(lambda: bad.gone, 'it is closed')
+    shared_graph.until(lambda: bad.disconnected, 'it is closed')
     begun = len(page.frames)
     shared_graph.until(lambda: len(page.frames) > begun + 5, 'the other page goes on')
     shared_graph.until(lambda: len(console.desk.sessions) == 1, 'it is forgotten')
@@ -273,7 +273,7 @@ def test_pause_step_and_resume(shared_graph: Graph, page: TestPage, sim: Any) ->
 def test_reset_with_a_seed_and_settings_of_the_next_episode(
     shared_graph: Graph, page: TestPage, sim: Any
 ) -> None:
-    told = shared_graph.collect('episode', String, LATCHED)
+    output = shared_graph.collect('episode', String, LATCHED)
     settings = page.last('world')['settings']
     assert settings['n_sheep'] | {'value': 12} == settings['n_sheep']
     assert 'reynolds' in settings['flock']['choices']
@@ -283,8 +283,10 @@ def test_reset_with_a_seed_and_settings_of_the_next_episode(
         lambda: page.last('world')['settings']['n_sheep']['value'] == 9, 'it is told'
     )
     assert 'seed 77' in ask(shared_graph, page, 'reset', seed=77)
-    shared_graph.until(lambda: told and Episode.from_json(told[-1].data).seed == 77, 'the episode')
-    episode = Episode.from_json(told[-1].data)
+    shared_graph.until(
+        lambda: output and Episode.from_json(output[-1].data).seed == 77, 'the episode'
+    )
+    episode = Episode.from_json(output[-1].data)
     assert (episode.n_sheep, episode.goal_radius) == (9, 3.0)
     assert episode.world['flock']['model'] == 'reynolds'
     shared_graph.until(lambda: page.last('episode')['seed'] == 77, 'the page knows')
@@ -366,10 +368,10 @@ def test_a_page_chooses_who_drives_and_locks(shared_graph: Graph, page: TestPage
 
 
 def test_a_shepherd_stops_when_its_page_is_silent(shared_graph: Graph, page: TestPage) -> None:
-    heard: list[tuple[float, float]] = []
+    velocities: list[tuple[float, float]] = []
 
     def hear(command: TwistStamped) -> None:
-        heard.append((time.monotonic(), command.twist.linear.x))
+        velocities.append((time.monotonic(), command.twist.linear.x))
 
     hearing = shared_graph.node.create_subscription(
         TwistStamped, 'shepherd_0/cmd_vel/console', hear, 100
@@ -377,16 +379,16 @@ def test_a_shepherd_stops_when_its_page_is_silent(shared_graph: Graph, page: Tes
     shared_graph.until(lambda: hearing.get_publisher_count() == 1, 'the console publishes')
     page.send('drive', shepherd=0, x=0.5, y=0.0)
     last = time.monotonic()
-    shared_graph.until(lambda: heard and heard[-1][1] == 0.0, 'zero')
-    assert [x for _, x in heard] == [0.5, 0.0]
-    assert heard[-1][0] - last > DEAD_MAN - 0.05
+    shared_graph.until(lambda: velocities and velocities[-1][1] == 0.0, 'zero')
+    assert [x for _, x in velocities] == [0.5, 0.0]
+    assert velocities[-1][0] - last > DEAD_MAN - 0.05
     shared_graph.until(lambda: page.last('pages')['driven'] == {}, 'it is released')
     shared_graph.node.destroy_subscription(hearing)
 
 
-@pytest.mark.parametrize('way', ['blur', 'release', 'close'])
+@pytest.mark.parametrize('ending', ['blur', 'release', 'close'])
 def test_a_page_takes_a_shepherd_by_hand_and_gives_it_back(
-    shared_graph: Graph, page: TestPage, sim: Any, way: str
+    shared_graph: Graph, page: TestPage, sim: Any, ending: str
 ) -> None:
     ask(shared_graph, page, 'driver', shepherd=0, source='idle')
     shared_graph.until(lambda: page.last('drivers')['drivers'][0] == 'idle', 'idle drives')
@@ -416,16 +418,16 @@ def test_a_page_takes_a_shepherd_by_hand_and_gives_it_back(
     assert after[0] > before[0] + 0.4
     assert after[1] < before[1] - 0.2
     assert {(c.twist.linear.x, c.twist.linear.y) for c in commands} <= {(0.5, -0.25), (0.0, 0.0)}
-    if way == 'close':
+    if ending == 'close':
         other.close()
     else:
-        other.send(way)
+        other.send(ending)
     shared_graph.until(
         lambda: (commands[-1].twist.linear.x, commands[-1].twist.linear.y) == (0.0, 0.0),
         'zero is published',
     )
     shared_graph.until(lambda: page.last('drivers')['drivers'][0] == 'idle', 'idle again')
-    if way != 'close':
+    if ending != 'close':
         other.close()
     ask(shared_graph, page, 'driver', shepherd=-1, source='auto')
 

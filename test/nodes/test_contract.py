@@ -161,13 +161,13 @@ def test_messages_come_in_the_frame_of_the_contract_and_with_a_stamp(
     qos = BEST_EFFORT if profile.subscribe == 'best_effort' else RELIABLE
     qos = LATCHED if profile.durability == 'transient_local' else qos
     kind = message_type(row.type)
-    heard: list[Any] = []
+    received: list[Any] = []
     subscription = shared_graph.node.create_subscription(
-        kind, name_of(row.name, 1), heard.append, qos
+        kind, name_of(row.name, 1), received.append, qos
     )
-    shared_graph.until(lambda: heard, f'a message of {row.name}')
+    shared_graph.until(lambda: received, f'a message of {row.name}')
     shared_graph.node.destroy_subscription(subscription)
-    message = heard[-1]
+    message = received[-1]
     if row.frame == 'none':
         assert getattr(getattr(message, 'header', None), 'frame_id', '') == ''
         return
@@ -182,10 +182,10 @@ def test_messages_come_in_the_frame_of_the_contract_and_with_a_stamp(
 def test_every_node_reports_on_diagnostics_with_names_that_tools_can_group(
     shared_graph: Graph, stack: Stack
 ) -> None:
-    heard = shared_graph.collect('/diagnostics', DiagnosticArray)
+    received = shared_graph.collect('/diagnostics', DiagnosticArray)
 
     def names() -> set[str]:
-        return {status.name for message in heard for status in message.status}
+        return {status.name for message in received for status in message.status}
 
     expected = {
         'flock_sim: episode', 'flock_sim: commands', 'lidar: lidar', 'lidar_b: lidar',
@@ -193,7 +193,7 @@ def test_every_node_reports_on_diagnostics_with_names_that_tools_can_group(
     }  # fmt: skip
     shared_graph.until(lambda: names() >= expected, 'diagnostics of every node')
     assert names() == expected
-    for message in heard:
+    for message in received:
         assert message.header.stamp.sec > 1_600_000_000  # wall time, as their tools expect
         for status in message.status:
             assert status.message

@@ -35,7 +35,7 @@ class Client:
         self.connection = connection
         self.channels: dict[str, dict[str, Any]] = {}
         self.services: dict[str, dict[str, Any]] = {}
-        self.told: list[dict[str, Any]] = []
+        self.replies: list[dict[str, Any]] = []
         self.messages: dict[str, list[bytes]] = {}
         self.responses: list[bytes] = []
         self.reading = asyncio.ensure_future(self.read())
@@ -44,11 +44,11 @@ class Client:
         """Sort what comes."""
         while (message := await self.connection.read_message()) is not None:
             if isinstance(message, str):
-                said = json.loads(message)
-                self.told.append(said)
-                self.channels |= {c['topic']: c for c in said.get('channels', ())}
-                if said['op'] == 'advertiseServices':
-                    self.services |= {s['name']: s for s in said['services']}
+                reply = json.loads(message)
+                self.replies.append(reply)
+                self.channels |= {c['topic']: c for c in reply.get('channels', ())}
+                if reply['op'] == 'advertiseServices':
+                    self.services |= {s['name']: s for s in reply['services']}
             elif message[0] == 1:
                 (number,) = struct.unpack_from('<I', message, 1)
                 self.messages[list(self.channels)[number]].append(message[13:])
@@ -78,7 +78,7 @@ class Client:
 
     def ops(self, op: str) -> list[dict[str, Any]]:
         """Return what was told of a kind."""
-        return [said for said in self.told if said['op'] == op]
+        return [reply for reply in self.replies if reply['op'] == op]
 
 
 async def connected(address: str) -> Client:
@@ -144,11 +144,11 @@ def decoders() -> Path:
     """Return the folder with Foxglove's decoders, installed beside the other packages once."""
     folder = Path(sys.prefix) / 'foxglove_decoders'
     wanted = (SOURCES / 'package.json').read_text(encoding='utf-8')
-    kept = folder / 'package.json'
-    if not (folder / 'done').is_file() or kept.read_text(encoding='utf-8') != wanted:
+    stored = folder / 'package.json'
+    if not (folder / 'done').is_file() or stored.read_text(encoding='utf-8') != wanted:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
-        kept.write_text(wanted, encoding='utf-8')
+        stored.write_text(wanted, encoding='utf-8')
         words = ['npm', 'install', '--no-package-lock', '--no-audit', '--no-fund']
         subprocess.run(words, cwd=folder, check=True, capture_output=True, timeout=100)
         (folder / 'done').touch()
@@ -169,12 +169,12 @@ def test_foxgloves_decoders_read_every_topic(
     done = subprocess.run(command, cwd=decoders, capture_output=True, text=True, timeout=150)
     read = json.loads(done.stdout)
     assert (read['error'], read['missing']) == ('', []), shared_graph.processes[0]
-    got = {topic: about['message'] for topic, about in read['topics'].items()}
-    assert len(got['/flock/poses']['poses']) == SHEEP
-    assert len(got['/shepherds/poses']['poses']) == TEAM
-    assert len(got['/shepherd_1/scan/sheep']['ranges']) == RAYS
-    assert json.loads(got['/episode']['data'])['n_sheep'] == SHEEP
-    assert got['/shepherd_0/cmd_vel']['header']['frame_id'] == 'map'
+    result = {topic: about['message'] for topic, about in read['topics'].items()}
+    assert len(result['/flock/poses']['poses']) == SHEEP
+    assert len(result['/shepherds/poses']['poses']) == TEAM
+    assert len(result['/shepherd_1/scan/sheep']['ranges']) == RAYS
+    assert json.loads(result['/episode']['data'])['n_sheep'] == SHEEP
+    assert result['/shepherd_0/cmd_vel']['header']['frame_id'] == 'map'
     graph = dict(shared_graph.node.get_topic_names_and_types())
     shown = {topic: [about['type']] for topic, about in read['topics'].items()}
     assert {topic: graph[topic] for topic in shown} == shown
@@ -183,7 +183,7 @@ def test_foxgloves_decoders_read_every_topic(
 def test_a_latched_topic_reaches_the_second_and_the_late_client_once(
     shared_graph: Graph, servers: dict[str, str]
 ) -> None:
-    heard = shared_graph.collect('/episode', String, LATCHED)
+    received = shared_graph.collect('/episode', String, LATCHED)
 
     async def conversation() -> list[list[bytes]]:
         clients = []
@@ -197,10 +197,10 @@ def test_a_latched_topic_reaches_the_second_and_the_late_client_once(
         return [client.messages['/episode'] for client in clients]
 
     counts = talk(shared_graph, conversation)
-    shared_graph.until(lambda: heard, 'the probe hears the episode')
+    shared_graph.until(lambda: received, 'the probe hears the episode')
     for messages in counts:
         (raw,) = messages
-        assert deserialize_message(raw, String) == heard[0]
+        assert deserialize_message(raw, String) == received[0]
 
 
 def test_services_are_called_where_allowed_and_refused_elsewhere(

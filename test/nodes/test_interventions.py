@@ -55,7 +55,7 @@ def bag(shared_graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Path:
     graph.host('mux', default='strombom', **keys_are)
     graph.host('strombom', source='strombom')
     keys = graph.publisher('shepherd_1/cmd_vel/keys', TwistStamped, readers=2)
-    told = graph.collect('drivers', String, LATCHED)
+    printed = graph.collect('drivers', String, LATCHED)
     topics = ['episode', 'goal', 'flock/poses', 'shepherds/poses', 'drivers']
     for h in range(2):
         topics += [f'shepherd_{h}/{name}' for name in ('cmd_vel', 'cmd_vel/strombom')]
@@ -65,13 +65,13 @@ def bag(shared_graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for _ in range(STEPS // 3):
         advance(graph, sim)
     keys.publish(twist(0, *BY_HAND))
-    graph.until(lambda: graph.hosted[-2].mux.states[1]['keys'].heard > 0, 'a key')
+    graph.until(lambda: graph.hosted[-2].mux.states[1]['keys'].received > 0, 'a key')
     for _ in range(STEPS // 3):
         advance(graph, sim)
     graph.trigger('shepherd_1/mux/strombom')
     assert graph.call('flock_sim/pause', SetBool, SetBool.Request(data=False)).success
     graph.until(lambda: sim.finished, 'the end of the episode')
-    graph.until(lambda: len(told) > STEPS, 'all drivers')
+    graph.until(lambda: len(printed) > STEPS, 'all drivers')
     recorder.stop()
     return folder
 
@@ -183,5 +183,5 @@ def test_the_verb_counts_what_the_person_drove(
     bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['dataset', 'info', str(bag), '--drivers', 'keys', '--spacing', '2']) == 0
-    said = capsys.readouterr().out
-    assert 'steps, another driver; first: bag:0, step 0, shepherd_0' in said
+    output = capsys.readouterr().out
+    assert 'steps, another driver; first: bag:0, step 0, shepherd_0' in output

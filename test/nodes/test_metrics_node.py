@@ -28,7 +28,7 @@ def course() -> Iterator[Moment]:
         yield moment
 
 
-def heard(node: MetricsNode, missed: set[int]) -> list[dict[str, float]]:
+def received(node: MetricsNode, missed: set[int]) -> list[dict[str, float]]:
     """Return the values after each state that the node is told of."""
     moments = list(course())
     episode = describe_episode(WORLD, moments[0].state, 3)
@@ -52,32 +52,32 @@ def node(shared_graph: Graph) -> Iterator[MetricsNode]:
 def test_a_whole_episode_has_the_metrics_of_the_core(
     node: MetricsNode, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    for told, moment in zip(heard(node, set()), course(), strict=True):
-        assert told == {name: float(value) for name, value in moment.metrics().items()}
-    said = capfd.readouterr().err
-    assert 'episode 0, seed 3: completion_time' in said
-    assert 'not whole' not in said
+    for printed, moment in zip(received(node, set()), course(), strict=True):
+        assert printed == {name: float(value) for name, value in moment.metrics().items()}
+    output = capfd.readouterr().err
+    assert 'episode 0, seed 3: completion_time' in output
+    assert 'not whole' not in output
 
 
 @pytest.mark.parametrize('missed', [{0}, {0, 1, 2}, {3}, {2, 4}])
 def test_an_episode_in_part_has_only_what_a_state_tells_alone(
     node: MetricsNode, missed: set[int], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    values, truth = heard(node, missed), [m.metrics() for m in course()]
+    values, truth = received(node, missed), [m.metrics() for m in course()]
     instant = {name for name, metric in METRICS.items() if metric.instant}
     assert instant == {'fraction_in_goal', 'goal_distance'}
-    told = iter(values)
+    printed = iter(values)
     for step, true in enumerate(truth):
         if step in missed:
             continue
-        row, part = next(told), step > min(missed)
+        row, part = next(printed), step > min(missed)
         for name, value in row.items():
             if part and name not in instant:
                 assert math.isnan(value), (step, name)
             else:
                 assert value == float(true[name]), (step, name)
-    said = capfd.readouterr().err
-    assert 'episode 0, seed 3: not whole, states are missing at ' in said
-    assert 'completion_time' not in said
-    values = heard(node, set())  # the next one is whole again
+    output = capfd.readouterr().err
+    assert 'episode 0, seed 3: not whole, states are missing at ' in output
+    assert 'completion_time' not in output
+    values = received(node, set())  # the next one is whole again
     assert not any(math.isnan(value) for row in values for value in row.values())

@@ -115,9 +115,9 @@ def test_a_thousand_switches_in_one_episode_lose_and_double_no_command(graph: Gr
     assert {b - a for a, b in pairwise(stamps)} == {sim.dt_ns}
     switches = 0
     for step, ns in enumerate(stamps):
-        told = switcher.drivers[step]
-        assert (told.step, told.stamp, told.episode) == (step, ns, 0)
-        for h, driver in enumerate(told.drivers):
+        messages = switcher.drivers[step]
+        assert (messages.step, messages.stamp, messages.episode) == (step, ns, 0)
+        for h, driver in enumerate(messages.drivers):
             (command, *again) = switcher.published[h, ns]
             assert len(again) < switcher.states[ns]  # as often as the state was shown, at most
             assert set(again) <= {command}
@@ -133,30 +133,33 @@ def test_a_thousand_switches_in_one_episode_lose_and_double_no_command(graph: Gr
 @contextmanager
 def published(graph: Graph, topic: str) -> Iterator[list[tuple[float, float]]]:
     """Give the list into which the commands of a topic come."""
-    heard: list[tuple[float, float]] = []
+    received: list[tuple[float, float]] = []
     subscription = graph.node.create_subscription(
-        TwistStamped, topic, lambda m: heard.append((m.twist.linear.x, m.twist.linear.y)), 100
+        TwistStamped, topic, lambda m: received.append((m.twist.linear.x, m.twist.linear.y)), 100
     )
     try:
-        yield heard
+        yield received
     finally:
         graph.node.destroy_subscription(subscription)
 
 
 def drivers(graph: Graph) -> list[Drivers]:
     """Return the list into which the drivers come, of both shepherds."""
-    told: list[Drivers] = []
+    messages: list[Drivers] = []
     graph.node.create_subscription(
-        String, 'drivers', lambda message: told.append(Drivers.from_json(message.data)), LATCHED
+        String,
+        'drivers',
+        lambda message: messages.append(Drivers.from_json(message.data)),
+        LATCHED,
     )
-    return told
+    return messages
 
 
-def until_driven(graph: Graph, told: list[Drivers], *names: str | None) -> None:
+def until_driven(graph: Graph, messages: list[Drivers], *names: str | None) -> None:
     """Spin until these drive."""
     graph.until(
-        lambda: told and told[-1].drivers == names,
-        lambda: f'{names} drive; last {told[-1:]}',
+        lambda: messages and messages[-1].drivers == names,
+        lambda: f'{names} drive; last {messages[-1:]}',
     )
 
 
@@ -164,47 +167,47 @@ def test_in_lockstep_who_is_selected_drives_and_the_episode_goes_on(
     graph: Graph, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sim = graph.host('flock_sim', **SMALL)
-    told = drivers(graph)
+    messages = drivers(graph)
     graph.host('mux', default='strombom')
     graph.idle(0.3)
     assert int(sim.state.step) == 0  # nothing drives before the default source
     graph.host('strombom', source='strombom')
-    until_driven(graph, told, 'strombom', 'strombom')
+    until_driven(graph, messages, 'strombom', 'strombom')
     schema = json.loads(share_file('msg_schemas', 'drivers.schema.json').read_text())
-    jsonschema.validate(json.loads(told[-1].to_json()), schema)
+    jsonschema.validate(json.loads(messages[-1].to_json()), schema)
     keys = graph.publisher('shepherd_1/cmd_vel/keys', TwistStamped)
-    assert told[0].step == 0
-    assert [b.step - a.step for a, b in pairwise(told)] == [1] * (len(told) - 1)
+    assert messages[0].step == 0
+    assert [b.step - a.step for a, b in pairwise(messages)] == [1] * (len(messages) - 1)
 
     def press() -> bool:
         keys.publish(twist(0, 0.3, 0.0, 'base_link'))
-        return told[-1].drivers == ('strombom', 'keys')
+        return messages[-1].drivers == ('strombom', 'keys')
 
     graph.until(press, 'keys take shepherd_1 by their priority')
-    until_driven(graph, told, 'strombom', 'strombom')  # and let it go when they are silent
+    until_driven(graph, messages, 'strombom', 'strombom')  # and let it go when they are silent
 
-    def asked(*words: str, code: int = 0) -> str:
+    def requested(*words: str, code: int = 0) -> str:
         codes: list[int] = []
         thread = Thread(target=lambda: codes.append(main([*words])))
         thread.start()
         graph.until(lambda: not thread.is_alive(), ' '.join(words))
-        said = capsys.readouterr()
-        assert codes == [code], said
-        return said.out + said.err
+        printed = capsys.readouterr()
+        assert codes == [code], printed
+        return printed.out + printed.err
 
-    assert asked('drive', 'keys', '--shepherd', '0') == 'keys is selected for shepherd_0\n'
-    until_driven(graph, told, None, 'strombom')  # which are silent: zero, at once
-    assert told[-1].selected == ('keys', 'auto')
+    assert requested('drive', 'keys', '--shepherd', '0') == 'keys is selected for shepherd_0\n'
+    until_driven(graph, messages, None, 'strombom')  # which are silent: zero, at once
+    assert messages[-1].selected == ('keys', 'auto')
     before = sim.state.shepherds[0].clone()
     now = sim.now_ns
     graph.until(lambda: sim.now_ns > now + 3 * sim.dt_ns, 'the episode goes on')
     assert sim.state.shepherds[0].equal(before)
-    assert asked('lock') == 'all shepherds: locked\n'
-    until_driven(graph, told, None, None)
-    assert told[-1].locked == (True, True)
-    assert asked('unlock', '--shepherd', '1') == 'shepherd_1: not locked\n'
-    until_driven(graph, told, None, 'strombom')
-    assert asked('unlock') == 'all shepherds: not locked\n'
+    assert requested('lock') == 'all shepherds: locked\n'
+    until_driven(graph, messages, None, None)
+    assert messages[-1].locked == (True, True)
+    assert requested('unlock', '--shepherd', '1') == 'shepherd_1: not locked\n'
+    until_driven(graph, messages, None, 'strombom')
+    assert requested('unlock') == 'all shepherds: not locked\n'
     select = graph.publisher('mux/select', String)
     graph.listen_to_logs()
     for text, pattern in (
@@ -215,10 +218,12 @@ def test_in_lockstep_who_is_selected_drives_and_the_episode_goes_on(
         select.publish(String(data=text))
         graph.until(lambda pattern=pattern: graph.warnings(pattern), pattern)
     select.publish(String(data='auto'))
-    until_driven(graph, told, 'strombom', 'strombom')
-    assert "did you mean 'keys'" in asked('drive', 'kexs', code=2)
+    until_driven(graph, messages, 'strombom', 'strombom')
+    assert "did you mean 'keys'" in requested('drive', 'kexs', code=2)
     monkeypatch.setattr(world_client, 'DISCOVERY_TIMEOUT', 0.5)
-    assert 'no /shepherd_5/mux/keys was found' in asked('drive', 'keys', '--shepherd', '5', code=2)
+    assert 'no /shepherd_5/mux/keys was found' in requested(
+        'drive', 'keys', '--shepherd', '5', code=2
+    )
     status = graph.until_status('mux: drivers', 'every shepherd has a driver')
     assert {v.key: v.value for v in status.values} == {
         'shepherd_0': 'strombom (selected: auto)', 'shepherd_1': 'strombom (selected: auto)'
@@ -227,18 +232,18 @@ def test_in_lockstep_who_is_selected_drives_and_the_episode_goes_on(
 
 def test_a_lock_of_a_paused_world_takes_back_what_was_commanded(graph: Graph) -> None:
     sim = graph.host('flock_sim', **SMALL)
-    told = drivers(graph)
+    messages = drivers(graph)
     graph.host('mux', default='strombom')
     graph.host('strombom', source='strombom')
-    until_driven(graph, told, 'strombom', 'strombom')
+    until_driven(graph, messages, 'strombom', 'strombom')
     assert graph.call('flock_sim/pause', SetBool, SetBool.Request(data=True)).success
     graph.until(lambda: sim.flock_commands.complete, 'the answers to the state that stands')
     assert any(any(v) for v in sim.flock_commands.commands.velocities)
     assert graph.call('mux/lock', SetBool, SetBool.Request(data=True)).success
     zero = [(0.0, 0.0)] * 2
     graph.until(lambda: sim.flock_commands.commands.velocities == zero, 'zero for this state')
-    until_driven(graph, told, None, None)
-    assert told[-1].stamp == sim.now_ns
+    until_driven(graph, messages, None, None)
+    assert messages[-1].stamp == sim.now_ns
 
 
 def test_locked_or_silent_zero_is_published_at_once(graph: Graph) -> None:
@@ -247,7 +252,7 @@ def test_locked_or_silent_zero_is_published_at_once(graph: Graph) -> None:
     graph.host('mux', default='strombom', **words, **{'locks.stop.priority': 95})
     keys = graph.publisher('shepherd_0/cmd_vel/keys', TwistStamped)
     stop = graph.publisher('mux/locks/stop', Bool)
-    told = drivers(graph)
+    messages = drivers(graph)
     with published(graph, 'shepherd_0/cmd_vel') as commands:
         keys.publish(twist(0, 0.25, -0.5))
         graph.until(lambda: (0.25, -0.5) in commands, 'keys drive')
@@ -259,20 +264,20 @@ def test_locked_or_silent_zero_is_published_at_once(graph: Graph) -> None:
         graph.until(lambda: commands[-1] == (0.25, -0.5), 'keys drive')
         stop.publish(Bool(data=True))
         graph.until(lambda: commands[-1] == (0.0, 0.0), 'zero by the lock')
-        assert told[-1].locked == (False, False)
+        assert messages[-1].locked == (False, False)
         stop.publish(Bool(data=False))
         graph.until(lambda: commands[-1] == (0.25, -0.5), 'keys drive')
         graph.trigger('shepherd_0/mux/strombom')
         graph.until(lambda: commands[-1] == (0.0, 0.0), 'zero, as strombom has never been heard')
-        until_driven(graph, told, None, None)
+        until_driven(graph, messages, None, None)
         graph.until(lambda: sim.flock_commands.commands.velocities[0] == (0.0, 0.0), 'it stands')
 
 
 def test_two_sources_work_together_and_a_source_may_send_twist(graph: Graph) -> None:
     graph.host('flock_sim', **SLOW)
-    told = drivers(graph)
+    messages = drivers(graph)
     mux = graph.start('mux')
-    until_driven(graph, told, None, None)
+    until_driven(graph, messages, None, None)
     other = Context()  # a process has one type for each topic
     rclpy.init(args=[], context=other, domain_id=graph.domain)
     teleop = Node('teleop_twist_keyboard', context=other)
@@ -288,7 +293,7 @@ def test_two_sources_work_together_and_a_source_may_send_twist(graph: Graph) -> 
             if joy in outputs:
                 joy.publish(twist(0, 0.1, 0.0, ''))
             name = 'joy' if joy in outputs else 'keys'
-            return bool(told) and told[-1].drivers == (None, name)
+            return bool(messages) and messages[-1].drivers == (None, name)
 
         graph.until(lambda: steer(plain), 'keys drive')
         graph.until(lambda: steer(plain, joy), 'joy has precedence')
@@ -296,23 +301,25 @@ def test_two_sources_work_together_and_a_source_may_send_twist(graph: Graph) -> 
     finally:
         teleop.destroy_node()
         other.try_shutdown()
-    until_driven(graph, told, None, None)
+    until_driven(graph, messages, None, None)
     assert mux.stop() == 0, mux
 
 
 def test_a_world_without_stamps_is_driven_and_another_type_is_named(graph: Graph) -> None:
     sim = graph.start('flock_sim', stamped=False, **SMALL)
-    told = drivers(graph)
+    messages = drivers(graph)
     mux = graph.host('mux', default='strombom', stamped=False)
     graph.host('strombom', source='strombom', stamped=False)
-    until_driven(graph, told, 'strombom', 'strombom')
-    graph.until(lambda: told[-1].step > 3, 'steps')
+    until_driven(graph, messages, 'strombom', 'strombom')
+    graph.until(lambda: messages[-1].step > 3, 'steps')
     assert mux.diagnose()[0].level == OK
     assert len(mux.diagnose()) == 1
     graph.end(mux)
     mux = graph.start('mux', default='strombom')
-    said = graph.until_says(mux, 'shepherd_0/cmd_vel is geometry_msgs/msg/TwistStamped, but (.*)')
-    assert 'flock_sim hears geometry_msgs/msg/Twist: expected one type' in said[1]
+    printed = graph.until_says(
+        mux, 'shepherd_0/cmd_vel is geometry_msgs/msg/TwistStamped, but (.*)'
+    )
+    assert 'flock_sim hears geometry_msgs/msg/Twist: expected one type' in printed[1]
     assert sim.stop() == 0, sim
 
 
@@ -371,14 +378,14 @@ def test_a_user_of_twist_mux_brings_topics_of_any_name(graph: Graph, tmp_path: P
     graph.host('flock_sim', **SLOW)
     (tmp_path / 'mux.yaml').write_text(FILE)
     graph.host('mux', '--params-file', str(tmp_path / 'mux.yaml'))
-    told = drivers(graph)
+    messages = drivers(graph)
     nav = graph.publisher('nav_vel', TwistStamped)
 
     def go() -> bool:
         nav.publish(twist(0, 0.5, 0.0))
-        return bool(told) and told[-1].drivers == ('navigation', 'navigation')
+        return bool(messages) and messages[-1].drivers == ('navigation', 'navigation')
 
     graph.until(go, 'one topic drives all shepherds')
     pause = graph.publisher('pause_navigation', Bool)
     pause.publish(Bool(data=True))
-    until_driven(graph, told, None, None)
+    until_driven(graph, messages, None, None)

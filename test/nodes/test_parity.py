@@ -100,8 +100,8 @@ def test_scans_and_metrics_over_topics_are_those_of_the_core(
     )
     states, metrics = rollout('strombom', EnvConfig(noise_std=noise_std, world=world_of()))
 
-    def newest(heard: list[LaserScan]) -> int:
-        return nanoseconds(heard[-1].header.stamp) if heard else 0
+    def newest(received: list[LaserScan]) -> int:
+        return nanoseconds(received[-1].header.stamp) if received else 0
 
     # step by step, as scans are best effort: what a slow probe has lost is shown again
     for k in range(len(states)):
@@ -119,13 +119,15 @@ def test_scans_and_metrics_over_topics_are_those_of_the_core(
 
     def rows() -> list[tuple[float, ...]]:
         """Return the metrics as published; those of a state that was shown again count once."""
-        heard = zip(*values.values(), strict=False)
-        return [key for key, _ in groupby(tuple(m.data for m in row) for row in heard)]
+        received = zip(*values.values(), strict=False)
+        return [key for key, _ in groupby(tuple(m.data for m in row) for row in received)]
 
     graph.until(lambda: len(rows()) == len(states), 'metrics of every state')
     assert rows() == expected_rows
-    for (h, c), heard in scans.items():
-        ranges = {nanoseconds(m.header.stamp): np.frombuffer(m.ranges, np.float32) for m in heard}
+    for (h, c), received in scans.items():
+        ranges = {
+            nanoseconds(m.header.stamp): np.frombuffer(m.ranges, np.float32) for m in received
+        }
         assert sorted(ranges) == track.stamps
         for ns, state in zip(track.stamps, states, strict=True):
             expected = scan(perceive(state, noise_std), LidarConfig())[h, c].numpy()

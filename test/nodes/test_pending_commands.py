@@ -46,8 +46,8 @@ def test_a_command_is_held_until_it_is_older_than_the_watchdog_allows() -> None:
     for _ in range(5):
         ages.append((buffer.age[0], buffer.held(3)))
         buffer.expect()
-    kept, stopped = [(1.0, 2.0), (0.0, 0.0)], [(0.0, 0.0)] * 2
-    assert ages == [(0, kept), (1, kept), (2, kept), (3, kept), (4, stopped)]
+    stored, stopped = [(1.0, 2.0), (0.0, 0.0)], [(0.0, 0.0)] * 2
+    assert ages == [(0, stored), (1, stored), (2, stored), (3, stored), (4, stopped)]
     buffer.add(0, (3.0, 0.0))  # it wakes up
     assert buffer.held(3) == [(3.0, 0.0), (0.0, 0.0)]
 

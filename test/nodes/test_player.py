@@ -65,11 +65,11 @@ def test_what_cannot_be_played_is_skipped_and_the_rest_is_played(
         writer.add_topic('/s', TEXT, schema=('ros2msg', b'# a word\nstring   data  # it\n'))
         for topic in ('/x', '/y', '/j', '/f', '/s'):
             writer.write(topic, cdr(make('String', data=topic)), SECOND, SECOND)
-    heard = shared_graph.collect('/x', String, RELIABLE)
+    received = shared_graph.collect('/x', String, RELIABLE)
     with playing(shared_graph, tmp_path / 'bag', wait=10.0) as player:
         assert player.names == ['/s', '/x']
-        shared_graph.until(lambda: heard, 'what can be played')
-    said = capfd.readouterr().err
+        shared_graph.until(lambda: received, 'what can be played')
+    output = capfd.readouterr().err
     for what in (
         "/y has the type 'wool_msgs/msg/Sheep', which is not installed",
         "/events/write_split has the type 'rosbag2_interfaces/msg/W'",
@@ -77,7 +77,7 @@ def test_what_cannot_be_played_is_skipped_and_the_rest_is_played(
         "/j is in 'json', expected cdr",
         "/f was recorded with another 'std_msgs/msg/Float64' than the",
     ):
-        assert what in said
+        assert what in output
     with pytest.raises(ConfigError, match='/f was recorded with another'):
         Player(PlayerOptions(tmp_path / 'bag', topics=('/f',)), context=shared_graph.context)
 
@@ -110,19 +110,19 @@ def test_a_late_reader_gets_what_is_latched_of_every_publisher(
     bag = bag_of(tmp_path / 'bag', {'/tf_like': [(0, 'A'), (9, 'B'), (60 * SECOND, 'C')]}, qos)
     with playing(shared_graph, bag, start_offset=2.0) as player:
         shared_graph.until(lambda: player.played == 2, 'what is latched')
-        heard = shared_graph.collect('/tf_like', String, LATCHED)
-        shared_graph.until(lambda: len(heard) == 2, 'both')
-        assert [message.data for message in heard] == ['A', 'B']
+        received = shared_graph.collect('/tf_like', String, LATCHED)
+        shared_graph.until(lambda: len(received) == 2, 'both')
+        assert [message.data for message in received] == ['A', 'B']
 
 
 def test_a_bag_in_sqlite_is_played(shared_graph: Graph, tmp_path: Path) -> None:
     with Writer(tmp_path / 'bag', version=9) as writer:
         connection = writer.add_connection('/lite', TEXT, typestore=STORE)
         writer.write(connection, SECOND, cdr(make('String', data='lite')))
-    heard = shared_graph.collect('/lite', String, RELIABLE)
+    received = shared_graph.collect('/lite', String, RELIABLE)
     with playing(shared_graph, tmp_path / 'bag', wait=10.0):
-        shared_graph.until(lambda: heard, 'the message')
-    assert heard[0].data == 'lite'
+        shared_graph.until(lambda: received, 'the message')
+    assert received[0].data == 'lite'
 
 
 def test_one_message_again_and_again_is_no_flood(shared_graph: Graph, tmp_path: Path) -> None:

@@ -107,17 +107,17 @@ def test_the_watchdog_stops_a_shepherd_that_falls_silent(
     answered = track.last
     publisher.publish(twist(answered, 0.8, 0.0))
     graph.until(lambda: len(track.stamps) > before + watchdog_steps + 5, 'steps after that')
-    way = [
+    direction = [
         (track.shepherds(b) - track.shepherds(a))[0].tolist()
         for a, b in zip(track.stamps, track.stamps[1:], strict=False)
     ]
-    moved = [k for k, step in enumerate(way) if step != [0.0, 0.0]]
+    moved = [k for k, step in enumerate(direction) if step != [0.0, 0.0]]
     assert len(moved) == moves
     assert moved == list(range(moved[0], moved[0] + moves))
     # at once, or a step later if that was under way
     assert track.stamps[moved[0]] - answered in (0, 500_000_000)
     for k in moved:
-        assert torch.allclose(torch.tensor(way[k]), torch.tensor([0.4, 0.0]), atol=1e-5)
+        assert torch.allclose(torch.tensor(direction[k]), torch.tensor([0.4, 0.0]), atol=1e-5)
     status = graph.until_status('flock_sim: commands', 'stopped by the watchdog: shepherd_0')
     assert status.level == status.ERROR
 
@@ -177,5 +177,5 @@ def test_a_plain_twist_of_anybody_is_taken_for_the_present_state(graph: Graph) -
     command.linear.x = 1.0
     publisher.publish(command)
     graph.until(lambda: len(track.stamps) == 2, 'one step')
-    way = track.shepherds(track.stamps[1]) - track.shepherds(track.stamps[0])
-    assert torch.allclose(way, torch.tensor([[0.5, 0.0]]), atol=1e-5)
+    direction = track.shepherds(track.stamps[1]) - track.shepherds(track.stamps[0])
+    assert torch.allclose(direction, torch.tensor([[0.5, 0.0]]), atol=1e-5)

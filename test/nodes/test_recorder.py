@@ -69,12 +69,12 @@ def until_received(graph: Graph, recorder: Recorder, count: int) -> None:
         seen += 1
         receive(*row)
 
-    def there() -> bool:
+    def present() -> bool:
         recorder.poll_messages(everything=True)
         return seen >= count
 
     recorder.receive = counting  # type: ignore[method-assign]
-    graph.until(there, lambda: f'{count} messages, got {seen}')
+    graph.until(present, lambda: f'{count} messages, got {seen}')
     recorder.receive = receive  # type: ignore[method-assign]
 
 
@@ -110,9 +110,9 @@ def test_no_clock_is_told(
         output.publish(Float64(data=1.0))
         until_received(graph, recorder, 1)
         assert recorder.end() == 1
-    said = capsys.readouterr().out
-    assert '1 messages came and no /clock, which --use-sim-time needs' in said
-    assert 'the bag is NOT whole' in said
+    printed = capsys.readouterr().out
+    assert '1 messages came and no /clock, which --use-sim-time needs' in printed
+    assert 'the bag is NOT whole' in printed
 
 
 @pytest.mark.parametrize('verbose', [False, True])

@@ -98,9 +98,9 @@ def until_taken(graph: Graph, more_than: int) -> int:
     """Spin until the recorder has more messages than that and gets no more; return how many."""
 
     def quiet() -> int:
-        said = counts(graph)
-        now = int(said.get('messages', '0'))
-        return now if now > more_than and said['rate'] == '0.0' else 0
+        printed = counts(graph)
+        now = int(printed.get('messages', '0'))
+        return now if now > more_than and printed['rate'] == '0.0' else 0
 
     what = f'a recorder that is done with more than {more_than} messages'
     return graph.until(quiet, lambda: f'{what}; it last said {counts(graph)}')
@@ -114,14 +114,14 @@ def until_heard_again(graph: Graph, send: Callable[[], None]) -> int:
     """
     before, sent = int(counts(graph)['messages']), 0
 
-    def heard() -> bool:
+    def received() -> bool:
         nonlocal sent
         send()
         sent += 1
         graph.idle(0.3)
         return int(counts(graph)['messages']) > before
 
-    graph.until(heard, lambda: f'more messages; the recorder last said {counts(graph)}')
+    graph.until(received, lambda: f'more messages; the recorder last said {counts(graph)}')
     return sent
 
 
@@ -176,10 +176,10 @@ def room(graph: Graph) -> Graph:
 @contextmanager
 def hearing(graph: Graph, topic: str, kind: Any, qos: Any = RELIABLE) -> Iterator[list[Any]]:
     """Give the list into which messages come as bytes."""
-    heard: list[Any] = []
-    subscription = graph.node.create_subscription(kind, topic, heard.append, qos, raw=True)
+    received: list[Any] = []
+    subscription = graph.node.create_subscription(kind, topic, received.append, qos, raw=True)
     try:
-        yield heard
+        yield received
     finally:
         graph.node.destroy_subscription(subscription)
 
@@ -234,11 +234,11 @@ def test_the_recorded_states_are_those_of_the_core(whole: Run) -> None:
 
 def test_rosbags_reads_the_same(whole: Run) -> None:
     with AnyReader([whole.folder]) as reader:
-        theirs = {name: info.msgcount for name, info in reader.topics.items()}
+        reference = {name: info.msgcount for name, info in reader.topics.items()}
         assert reader.message_count == whole.bag.count
         for connection, _, raw in reader.messages():
             reader.deserialize(raw, connection.msgtype)
-    assert theirs == {name: topic.count for name, topic in whole.bag.topics.items()}
+    assert reference == {name: topic.count for name, topic in whole.bag.topics.items()}
 
 
 def test_what_is_played_and_recorded_again_is_equal(
@@ -377,9 +377,9 @@ def test_the_first_message_of_every_topic_is_there(room: Graph, tmp_path: Path) 
     for topic, kind, qos, row in sent:
         send_first(room, topic, kind, qos, row)
     assert recorder.stop() == 0, recorder
-    kept = [(m.topic, m.data.rstrip(b'\0')) for m in open_bag(tmp_path / 'bag').messages()]
+    stored = [(m.topic, m.data.rstrip(b'\0')) for m in open_bag(tmp_path / 'bag').messages()]
     # without padding
-    assert kept == [(topic, row.rstrip(b'\0')) for topic, _, _, row in sent], recorder
+    assert stored == [(topic, row.rstrip(b'\0')) for topic, _, _, row in sent], recorder
 
 
 def test_a_topic_gets_a_second_publisher_that_offers_less(room: Graph, tmp_path: Path) -> None:
@@ -396,8 +396,8 @@ def test_a_topic_gets_a_second_publisher_that_offers_less(room: Graph, tmp_path:
     assert recorder.stop() == 0, recorder
     for output in (first, second):
         room.node.destroy_publisher(output)
-    kept = [np.frombuffer(m.data[4:12], '<f8')[0] for m in open_bag(tmp_path / 'bag').messages()]
-    assert kept == [1.0, 2.0, 2.0]
+    stored = [np.frombuffer(m.data[4:12], '<f8')[0] for m in open_bag(tmp_path / 'bag').messages()]
+    assert stored == [1.0, 2.0, 2.0]
 
 
 def test_two_types_on_one_topic_are_refused(room: Graph, tmp_path: Path) -> None:
@@ -457,12 +457,12 @@ def test_stop_and_start(room: Graph, tmp_path: Path) -> None:
     send(4.0)
     assert recorder.stop() == 0, recorder
     room.node.destroy_publisher(output)
-    kept = [np.frombuffer(m.data[4:12], '<f8')[0] for m in open_bag(tmp_path / 'bag').messages()]
-    assert kept == [2.0, 4.0]
+    stored = [np.frombuffer(m.data[4:12], '<f8')[0] for m in open_bag(tmp_path / 'bag').messages()]
+    assert stored == [2.0, 4.0]
 
 
 @pytest.mark.parametrize(
-    ('words', 'said'),
+    ('words', 'printed'),
     [
         (['-o', '{there}'], ['{there}: it exists already; choose another folder']),
         (['-o', '{file}/x/y'], ['{file}/x/y: it cannot be created (', '; choose another folder']),
@@ -475,14 +475,14 @@ def test_stop_and_start(room: Graph, tmp_path: Path) -> None:
     ],
 )
 def test_a_recorder_refuses_what_cannot_be(
-    room: Graph, tmp_path: Path, words: list[str], said: list[str]
+    room: Graph, tmp_path: Path, words: list[str], printed: list[str]
 ) -> None:
     places = {'there': tmp_path / 'there', 'file': tmp_path / 'file', 'new': tmp_path / 'new'}
     places['there'].mkdir()
     places['file'].touch()
     recorder = room.start_words('recorder', [word.format(**places) for word in words])
     assert recorder.wait() == 2, recorder
-    for text in said:
+    for text in printed:
         assert text.format(**places) in recorder.text
     assert 'Traceback' not in recorder.text
     assert not places['new'].exists()
@@ -512,20 +512,20 @@ def test_killed_recorders_leave_all_that_they_have_put_on_the_disk(
         status = room.status(f'{name}: recorder')
         recorder.send(SIGKILL)
         assert recorder.wait() == -SIGKILL
-        said = {value.key: value.value for value in status.values} if status else {}
+        printed = {value.key: value.value for value in status.values} if status else {}
         assert main(['bag', 'info', str(tmp_path / name)]) == 2
         assert 'shepherd bag recover' in capsys.readouterr().err
         assert main(['bag', 'recover', str(tmp_path / name)]) == 0
         again = tmp_path / f'{name}_recovered'
-        kept = [message.data for message in open_bag(again).messages()]
-        assert kept == rows[: len(kept)]
+        stored = [message.data for message in open_bag(again).messages()]
+        assert stored == rows[: len(stored)]
         whole = 0  # that another reader finds in whole chunks
         with file.open('rb') as stream, suppress(EndOfFile):
             for record in StreamReader(stream).records:
                 whole += isinstance(record, Message)
-        assert len(kept) >= max(whole, int(said.get('on_disk', 0)))
+        assert len(stored) >= max(whole, int(printed.get('on_disk', 0)))
         with AnyReader([again]) as reader:
-            assert reader.message_count == sum(1 for _ in reader.messages()) == len(kept)
+            assert reader.message_count == sum(1 for _ in reader.messages()) == len(stored)
 
 
 def test_a_disk_that_is_full_ends_the_recorder_with_a_word(room: Graph, tmp_path: Path) -> None:
@@ -538,16 +538,18 @@ def test_a_disk_that_is_full_ends_the_recorder_with_a_word(room: Graph, tmp_path
     assert recorder.wait() == 1, recorder
     room.node.destroy_publisher(output)
     bag = open_bag(tmp_path / 'bag')
-    said = f'failed: {tmp_path}/bag: it cannot be written (File too large); {bag.count} messages '
-    assert said in recorder.text
+    printed = (
+        f'failed: {tmp_path}/bag: it cannot be written (File too large); {bag.count} messages '
+    )
+    assert printed in recorder.text
     assert f'{bag.count} messages of {len(bag.topics)} topics in' in recorder.text
     assert 'free space or choose another place' in recorder.text
     assert 'Traceback' not in recorder.text
     status = room.until_status('recorder: recorder', 'cannot be written')
     assert status.level == DiagnosticStatus.ERROR
-    kept = [message.data for message in bag.messages({'/shepherd_0/scan/sheep'})]
-    assert kept == rows[: len(kept)]
-    assert 100 < len(kept) < 300
+    stored = [message.data for message in bag.messages({'/shepherd_0/scan/sheep'})]
+    assert stored == rows[: len(stored)]
+    assert 100 < len(stored) < 300
     with AnyReader([tmp_path / 'bag']) as reader:
         assert reader.message_count == sum(1 for _ in reader.messages()) == bag.count
 
@@ -585,10 +587,10 @@ def test_diagnostics_say_how_fast_it_goes(room: Graph, tmp_path: Path) -> None:
 # ---- losses ----
 
 
-def heard(numbers: list[int], publishers: int = 1) -> tuple[int, list[list[int]]]:
+def received(numbers: list[int], publishers: int = 1) -> tuple[int, list[list[int]]]:
     """Return how many of the numbers of one topic are missing, and the runs they make."""
-    there = {bytes([k]) for k in range(publishers)}
-    losses = Losses(lambda topic: there)
+    existing = {bytes([k]) for k in range(publishers)}
+    losses = Losses(lambda topic: existing)
     for number in numbers:
         losses.count_message('/a', number)
     runs = [[run.first, run.last] for run in losses.topics['/a'].runs]
@@ -596,24 +598,24 @@ def heard(numbers: list[int], publishers: int = 1) -> tuple[int, list[list[int]]
 
 
 def test_gaps_in_the_numbering_are_losses() -> None:
-    assert heard([5, 6, 9, 10]) == (2, [[5, 10]])  # what came before the first one is not lost
-    assert heard([1, 4, 5, 6, 8]) == (3, [[1, 8]])
+    assert received([5, 6, 9, 10]) == (2, [[5, 10]])  # what came before the first one is not lost
+    assert received([1, 4, 5, 6, 8]) == (3, [[1, 8]])
 
 
 def test_a_publisher_that_was_restarted_has_numbers_of_its_own() -> None:
-    assert heard([7, 8, 1, 2, 4]) == (1, [[7, 8], [1, 4]])
-    assert heard([7, 8, 1, 2, 4], publishers=2) == (1, [[7, 8], [1, 4]])
+    assert received([7, 8, 1, 2, 4]) == (1, [[7, 8], [1, 4]])
+    assert received([7, 8, 1, 2, 4], publishers=2) == (1, [[7, 8], [1, 4]])
 
 
 def test_publishers_of_one_topic_are_told_apart_by_their_numbers() -> None:
     one, two = range(1, 40), range(100, 139)
     both = [number for pair in zip(one, two, strict=True) for number in pair]
-    assert heard(both, publishers=2) == (0, [[1, 39], [100, 138]])
-    assert heard([n for n in both if n not in (20, 21, 130)], publishers=2)[0] == 3
+    assert received(both, publishers=2) == (0, [[1, 39], [100, 138]])
+    assert received([n for n in both if n not in (20, 21, 130)], publishers=2)[0] == 3
     same = [number for number in range(1, 40) for _ in range(3)]
-    assert heard(same, publishers=3)[0] == 0
+    assert received(same, publishers=3)[0] == 0
     del same[60]
-    assert heard(same, publishers=3)[0] == 1
+    assert received(same, publishers=3)[0] == 1
 
 
 @given(st.data())
@@ -629,9 +631,9 @@ def test_a_loss_is_told_only_where_there_was_one(data: st.DataObject) -> None:
             first.setdefault(sender, counts[sender])
             last[sender] = counts[sender]
     gaps = sum(last[k] - first[k] + 1 for k in first) - len(numbers)
-    told, _ = heard(numbers, publishers=len(senders))
+    output_text, _ = received(numbers, publishers=len(senders))
     if gaps == 0 or len(senders) == 1:
-        assert told == gaps
+        assert output_text == gaps
 
 
 def test_what_a_latched_publisher_dropped_before_the_first_that_is_heard_is_not_lost() -> None:
@@ -705,9 +707,9 @@ def test_a_recorder_that_is_held_up_tells_what_it_lost(room: Graph, tmp_path: Pa
         output.publish(row)
     recorder.send(SIGCONT)
     sent = until_heard_again(room, lambda: output.publish(row))
-    kept = until_taken(room, first)
+    stored = until_taken(room, first)
     output.publish(row)  # only a later message shows that others are missing
-    assert until_taken(room, kept) == kept + 1
+    assert until_taken(room, stored) == stored + 1
     assert recorder.stop() == 1, recorder
     room.node.destroy_publisher(output)
     assert 'the bag is NOT whole' in recorder.text
@@ -742,9 +744,9 @@ def test_four_thousand_scans_per_second_are_there_or_told_as_lost(
     output = room.publisher('/scan', LaserScan, qos)
     rows = [scan_of(k, np.full(512, k, np.float32)) for k in range(4000)]
     flood(room, output, rows[:-1], 4000.0)
-    kept = until_taken(room, 0)
+    stored = until_taken(room, 0)
     output.publish(rows[-1])  # only a later message shows that others are missing
-    assert until_taken(room, kept) == kept + 1
+    assert until_taken(room, stored) == stored + 1
     code = recorder.stop()
     room.node.destroy_publisher(output)
     bag = open_bag(tmp_path / 'bag')
@@ -770,30 +772,30 @@ def test_what_is_lost_is_told_everywhere(room: Graph, tmp_path: Path) -> None:
             for output in outputs:
                 output.publish(row)
 
-    heard = 0
+    received = 0
 
     def both_are_heard() -> bool:  # the recorder finds them one after the other
-        nonlocal heard
-        before = heard
+        nonlocal received
+        before = received
         send(1)
-        heard = until_taken(room, before)
-        return heard == before + 2
+        received = until_taken(room, before)
+        return received == before + 2
 
     room.until(both_are_heard, 'both publishers')
     recorder.send(SIGSTOP)
     send(8000)
     recorder.send(SIGCONT)
     sent = until_heard_again(room, lambda: send(1))
-    kept = until_taken(room, heard)
+    stored = until_taken(room, received)
     send(3)  # only later messages show that others are missing
-    assert until_taken(room, kept) == kept + 6
+    assert until_taken(room, stored) == stored + 6
     values = counts(room)
     status = room.until_status('recorder: recorder', f'{values["lost"]} messages were lost')
     assert recorder.stop() == 1, recorder
     for output in outputs:
         room.node.destroy_publisher(output)
     bag = open_bag(tmp_path / 'bag')
-    lost = heard + 2 * (8000 + sent + 3) - bag.topics['/flock/poses'].count
+    lost = received + 2 * (8000 + sent + 3) - bag.topics['/flock/poses'].count
     assert lost > 0
     assert status.level == DiagnosticStatus.WARN
     assert values['lost'] == values['lost /flock/poses'] == str(lost)
@@ -827,43 +829,43 @@ def test_late_readers_get_what_is_latched(room: Graph, tmp_path: Path) -> None:
 
 def test_step_plays_as_many_as_asked_for(room: Graph, tmp_path: Path) -> None:
     bag = values(tmp_path / 'bag', 50)
-    with hearing(room, '/metrics/flock_spread', Float64) as heard:
+    with hearing(room, '/metrics/flock_spread', Float64) as received:
         player = room.start_words('player', [str(bag), '-p', '--wait', '10'])
         for n, total in ((1, 1), (7, 8), (2, 10)):
             assert n == 1 or room.set_parameter('/player', 'step_size', n) == (True, '')
             assert room.trigger('/player/step') == f'{n} messages, then paused'
-            room.until(lambda total=total: len(heard) == total, f'{total} messages')
+            room.until(lambda total=total: len(received) == total, f'{total} messages')
             room.idle(0.15)
-            assert len(heard) == total
+            assert len(received) == total
         taken, reason = room.set_parameter('/player', 'step_size', 0)
         assert not taken
         assert 'step_size out of range' in reason
-        assert len(heard) == 10
+        assert len(received) == 10
         assert player.stop() == 0, player
         assert '10 messages of 1 topics' in player.text
 
 
 def test_a_pause_holds_the_message_that_is_next(room: Graph, tmp_path: Path) -> None:
     bag = values(tmp_path / 'bag', 2, gap_ns=2_000_000_000)
-    with hearing(room, '/metrics/flock_spread', Float64) as heard:
+    with hearing(room, '/metrics/flock_spread', Float64) as received:
         player = room.start_words('player', [str(bag), '-p', '--wait', '10'])
         pause(room, False)
-        room.until(lambda: heard, 'the first message')
+        room.until(lambda: received, 'the first message')
         pause(room, True)
         room.idle(2.2)
-        assert len(heard) == 1
+        assert len(received) == 1
         pause(room, False)
         assert player.wait() == 0, player
-        room.until(lambda: len(heard) == 2, 'the second message')
+        room.until(lambda: len(received) == 2, 'the second message')
 
 
 def test_loop_repeats(room: Graph, tmp_path: Path) -> None:
     bag = values(tmp_path / 'bag', 5)
-    with hearing(room, '/metrics/flock_spread', Float64) as heard:
+    with hearing(room, '/metrics/flock_spread', Float64) as received:
         player = room.start_words('player', [str(bag), '--loop', '--wait', '10'])
-        room.until(lambda: len(heard) > 12, 'the third time')
+        room.until(lambda: len(received) > 12, 'the third time')
         assert player.stop() == 0, player
-    numbers = [int(np.frombuffer(raw[4:12], '<f8')[0]) for raw in heard]
+    numbers = [int(np.frombuffer(raw[4:12], '<f8')[0]) for raw in received]
     assert numbers == [k % 5 for k in range(len(numbers))]
 
 
@@ -905,7 +907,7 @@ def test_there_is_never_a_second_clock(room: Graph, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ('words', 'said'),
+    ('words', 'printed'),
     [
         (['{bag}', '--topics', '/wool'], ['--topics has /wool', 'expected some of /clock']),
         (['{bag}', '--rate', '-1'], ['--rate is -1.0', 'expected a number above 0']),
@@ -917,7 +919,7 @@ def test_there_is_never_a_second_clock(room: Graph, tmp_path: Path) -> None:
     ],
 )
 def test_a_player_refuses_what_cannot_be(
-    room: Graph, tmp_path: Path, words: list[str], said: list[str]
+    room: Graph, tmp_path: Path, words: list[str], printed: list[str]
 ) -> None:
     places = {name: tmp_path / name for name in ('bag', 'none', 'empty', 'foreign', 'odd')}
     tiny_bag(places['bag'])
@@ -940,7 +942,7 @@ def test_a_player_refuses_what_cannot_be(
 
     room.until(has_ended, 'it ends')
     assert player.code == 2, player
-    for text in said:
+    for text in printed:
         assert text.format(**places) in player.text
     assert 'Traceback' not in player.text
     assert seen == {'probe'}, 'it joined the graph'
@@ -951,10 +953,10 @@ def test_a_foreign_bag_is_played_if_its_types_are_installed(room: Graph, tmp_pat
         schema = 'ros2msg', b'int32 data\n'
         writer.add_topic('/wool', 'std_msgs/msg/Int32', [Qos()], schema=schema)
         writer.write('/wool', b'\0\1\0\0\7\0\0\0', 1, 1)
-    with hearing(room, '/wool', Int32) as heard:
+    with hearing(room, '/wool', Int32) as received:
         player = room.start_words('player', [str(tmp_path / 'bag'), '--wait', '10'])
         assert player.wait() == 0, player
-        room.until(lambda: heard == [b'\0\1\0\0\7\0\0\0'], 'the message')
+        room.until(lambda: received == [b'\0\1\0\0\7\0\0\0'], 'the message')
 
 
 def _integer(name: str, value: int) -> Any:

@@ -101,8 +101,8 @@ def shepherd(
 
     def run(*words: object) -> Said:
         code = main([str(word) for word in words])
-        said = capsys.readouterr()
-        return code, said.out, said.err
+        output = capsys.readouterr()
+        return code, output.out, output.err
 
     return run
 

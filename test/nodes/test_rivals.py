@@ -1,4 +1,4 @@
-"""Who else speaks for the world, and who is to blame where nothing is said: named, by all."""
+"""Rival publishers of the world and silent nodes are named, by all."""
 
 from __future__ import annotations
 
@@ -77,13 +77,13 @@ def test_worlds_in_namespaces_share_one_clock_and_no_frame(graph: Graph) -> None
         sim = graph.host('flock_sim', '-r', f'__ns:={space}', publish_clock=space == '/a', **SMALL)
         for name in ('lidar', 'idle'):
             graph.host(name, '-r', f'__ns:={space}')
-    graph.until(lambda: all(len(heard) > 10 for heard in scans.values()), 'both worlds')
+    graph.until(lambda: all(len(received) > 10 for received in scans.values()), 'both worlds')
     graph.until(lambda: len(graph.clock()) > 10, 'a clock')
     clock = graph.clock()
     assert all(a <= b for a, b in pairwise(clock)), 'no jump back'
     assert watch.get_clock().now().nanoseconds > 0
-    for space, heard in scans.items():
-        assert {scan.header.frame_id for scan in heard} == {f'{space[1:]}/shepherd_0'}
+    for space, received in scans.items():
+        assert {scan.header.frame_id for scan in received} == {f'{space[1:]}/shepherd_0'}
     assert nanoseconds(scans['/b'][-1].header.stamp) > 0
     assert not any(node.rivals for node in graph.hosted)
     assert sim.shepherd_frame == 'b/shepherd_{h}'

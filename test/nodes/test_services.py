@@ -63,15 +63,17 @@ def test_a_reset_with_a_seed_starts_that_episode_and_the_next_has_the_seed_after
 ) -> None:
     pause(graph, True)
     track = graph.track()
-    told = graph.collect('episode', String, LATCHED)
+    output = graph.collect('episode', String, LATCHED)
     assert graph.reset(41) == 'episode 1, seed 41'
     graph.until(lambda: track.stamps and sim.now_ns in track.stamps, 'the new first state')
     world = WorldConfig(**SMALL)
     fresh = spawn(world, torch.tensor(41))
     assert torch.equal(track.sheep(sim.now_ns), fresh.sheep)
     assert torch.equal(track.shepherds(sim.now_ns), fresh.shepherds)
-    graph.until(lambda: told and Episode.from_json(told[-1].data).number == 1, 'its description')
-    assert Episode.from_json(told[-1].data) == sim.episode
+    graph.until(
+        lambda: output and Episode.from_json(output[-1].data).number == 1, 'its description'
+    )
+    assert Episode.from_json(output[-1].data) == sim.episode
     assert (sim.episode.seed, sim.episode.world) == (41, world.to_dict())
     assert graph.reset() == 'episode 2, seed 42'
     assert graph.reset(-5) == 'episode 3, seed -5'
@@ -82,10 +84,10 @@ def test_a_late_subscriber_is_told_the_running_episode_and_the_goal(
     graph: Graph, sim: Any
 ) -> None:
     graph.reset(9)
-    told = graph.collect('episode', String, LATCHED)
+    output = graph.collect('episode', String, LATCHED)
     goals = graph.collect('goal', PoseStamped, LATCHED)
-    graph.until(lambda: told and goals, 'episode and goal')
-    assert [Episode.from_json(message.data).seed for message in told] == [9]
+    graph.until(lambda: output and goals, 'episode and goal')
+    assert [Episode.from_json(message.data).seed for message in output] == [9]
     assert nanoseconds(goals[0].header.stamp) == sim.episode.start_ns
 
 
@@ -118,17 +120,17 @@ def test_another_time_step_holds_from_the_next_episode_on_and_begins_only_one(
     sim = graph.host('flock_sim', n_sheep=5, n_shepherds=1, episode_steps=40, rate=100.0)
     graph.host('idle')
     graph.until(lambda: int(sim.state.step) > 2, 'the world moves')
-    told = graph.collect('episode', String, LATCHED)
+    output = graph.collect('episode', String, LATCHED)
     graph.set_parameter('flock_sim', 'dt', 0.25)
     graph.set_parameter('flock_sim', 'rate', 0.0)
     episodes: dict[int, Episode] = {}
 
-    def heard() -> bool:
-        for episode in (Episode.from_json(message.data) for message in told):
+    def received() -> bool:
+        for episode in (Episode.from_json(message.data) for message in output):
             episodes[episode.number] = episode
         return 3 in episodes
 
-    graph.until(heard, 'some episodes')
+    graph.until(received, 'some episodes')
     assert [episodes[k].dt for k in range(4)] == [0.5, 0.25, 0.25, 0.25]
     starts = [episodes[k].start_ns for k in range(4)]
     assert starts[2] - starts[1] == starts[3] - starts[2] == 41 * 250_000_000

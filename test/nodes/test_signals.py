@@ -177,14 +177,14 @@ def test_help_into_a_closed_pipe_is_quiet(graph: Graph) -> None:
 
 
 def test_help_does_not_disturb_a_running_world(graph: Graph) -> None:
-    told = graph.collect('episode', String, LATCHED)
+    output = graph.collect('episode', String, LATCHED)
     track = graph.track()
     sim = graph.host('flock_sim', n_sheep=20, seed=5)
     graph.host('idle')
-    graph.until(lambda: told and int(sim.state.step) > 3, 'the world runs')
+    graph.until(lambda: output and int(sim.state.step) > 3, 'the world runs')
     process = graph.start_words('flock_sim', ['--help'])
     graph.until(lambda: process.code is not None, 'the help')
     now = sim.now_ns
     graph.until(lambda: sim.now_ns > now + 3 * sim.dt_ns, 'the world goes on')
-    assert len(told) == 1
+    assert len(output) == 1
     assert track.shown == sorted(track.shown)

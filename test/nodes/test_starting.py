@@ -1,4 +1,4 @@
-"""What a node says and does before it runs: while it imports, and where nothing can run."""
+"""The start of a node: while it imports, and where nothing can run."""
 
 from pathlib import Path
 import signal
@@ -44,7 +44,7 @@ def test_a_domain_that_cannot_be_is_named(monkeypatch: pytest.MonkeyPatch, domai
 
 
 @pytest.mark.parametrize(
-    ('said', 'message'),
+    ('output', 'message'),
     [
         (
             "failed to initialize logging: Failed to create log directory '/proc/a': 2, at /b.c:1",
@@ -54,10 +54,10 @@ def test_a_domain_that_cannot_be_is_named(monkeypatch: pytest.MonkeyPatch, domai
     ],
 )
 def test_what_rcl_cannot_begin_with_is_a_sentence(
-    monkeypatch: pytest.MonkeyPatch, said: str, message: str
+    monkeypatch: pytest.MonkeyPatch, output: str, message: str
 ) -> None:
     def init(**options: Any) -> None:
-        raise runtime._rclpy.RCLError(said)
+        raise runtime._rclpy.RCLError(output)
 
     monkeypatch.setattr(rclpy, 'init', init)
     monkeypatch.setenv('ROS_SECURITY_ENABLE', 'true')

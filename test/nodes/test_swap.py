@@ -1,4 +1,4 @@
-"""Who drives is decided by remapping topics, each shepherd on its own."""
+"""The controller of each shepherd is chosen by remapping topics."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def mixed(drivers: tuple[str, ...]) -> list[WorldState]:
     memory = {name: law.begin(state) for name, law in laws.items()}
     states = [state]
     for _ in range(STEPS):
-        said = {}
+        output = {}
         for name, law in laws.items():
-            said[name], memory[name] = law.act(state, memory[name])
-        command = torch.stack([said[name][h] for h, name in enumerate(drivers)])
+            output[name], memory[name] = law.act(state, memory[name])
+        command = torch.stack([output[name][h] for h, name in enumerate(drivers)])
         state = step(state, command, WORLD)
         states.append(state)
     return states

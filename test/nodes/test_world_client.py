@@ -13,25 +13,25 @@ WORLD = {'n_sheep': 5, 'n_shepherds': 1, 'mode': 'realtime', 'rate': 50.0}
 def test_a_world_is_asked_by_verbs(graph: Graph, capsys: pytest.CaptureFixture[str]) -> None:
     node = graph.host('flock_sim', '-r', '__ns:=/farm', **WORLD)
 
-    def asked(*words: str) -> str:
+    def requested(*words: str) -> str:
         codes: list[int] = []
         thread = Thread(target=lambda: codes.append(main([*words, '--namespace', '/farm'])))
         thread.start()
         graph.until(lambda: not thread.is_alive(), ' '.join(words))
-        told = capsys.readouterr()
-        assert codes == [0], told.err
-        return told.out
+        output = capsys.readouterr()
+        assert codes == [0], output.err
+        return output.out
 
-    assert asked('pause') == 'paused\n'
-    assert asked('step', '3') == '3 steps, then paused\n'
-    assert asked('reset', '--seed', '7') == 'episode 1, seed 7\n'
-    assert asked('resume') == 'running\n'
-    assert asked('goal', '5', '-3') == 'goal moves to 5, -3 m\n'
+    assert requested('pause') == 'paused\n'
+    assert requested('step', '3') == '3 steps, then paused\n'
+    assert requested('reset', '--seed', '7') == 'episode 1, seed 7\n'
+    assert requested('resume') == 'running\n'
+    assert requested('goal', '5', '-3') == 'goal moves to 5, -3 m\n'
     graph.until(lambda: node.state.goal.tolist() == [5.0, -3.0], 'the goal moves')
-    assert '/farm/flock_sim\n' in asked('nodes')
-    told = asked('status')
-    assert 'episode 1, seed 7: 5 sheep, 1 shepherds, realtime' in told
-    assert 'farm/flock_sim: ' in told
+    assert '/farm/flock_sim\n' in requested('nodes')
+    output = requested('status')
+    assert 'episode 1, seed 7: 5 sheep, 1 shepherds, realtime' in output
+    assert 'farm/flock_sim: ' in output
 
 
 def test_a_world_that_is_not_there_is_named(

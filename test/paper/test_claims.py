@@ -86,14 +86,14 @@ def figure(name: str, **curves: Any) -> Samples:
     experiment = EXPERIMENTS[name]
     tables = []
     for controller in (POLICY, 'strombom', 'pierson'):
-        mine = {
+        own = {
             full[len(short) + 1 :]: mean
             for full, mean in curves.items()
             for short in [{POLICY: 'rl'}.get(controller, controller)]
             if full.startswith(short + '_')
         }
-        for k, setting in enumerate(experiment.settings if mine else ()):
-            values = {metric: [0.99 * mean[k], 1.01 * mean[k]] for metric, mean in mine.items()}
+        for k, setting in enumerate(experiment.settings if own else ()):
+            values = {metric: [0.99 * mean[k], 1.01 * mean[k]] for metric, mean in own.items()}
             tables.append(made_up(setting, controller, **values))
     found = samples_of(Results(pa.concat_tables(tables)), experiment)
     assert found is not None
@@ -403,11 +403,11 @@ def test_a_policy_that_was_not_trained_on_reynolds_gets_no_verdict_there() -> No
     high = np.full(10, 0.99)
     samples = figure('fig8', rl_fraction_reached=high, pierson_fraction_reached=high)
     judged = verdicts_on_samples(samples, POLICY)
-    mine = [j for j in judged if j.policy]
-    assert mine
-    assert {j.verdict for j in mine} == {UNDECIDED}
-    assert 'not trained with the Reynolds' in mine[0].findings[0].reason
-    assert mine[0].findings[0].value == pytest.approx(0.99)
+    own = [j for j in judged if j.policy]
+    assert own
+    assert {j.verdict for j in own} == {UNDECIDED}
+    assert 'not trained with the Reynolds' in own[0].findings[0].reason
+    assert own[0].findings[0].value == pytest.approx(0.99)
     assert next(j for j in judged if j.statement.startswith('Pierson brings')).verdict == AGREES
 
 
@@ -440,8 +440,8 @@ def test_each_policy_is_judged_alone_and_only_the_primary_one_counts() -> None:
         assert {j.policy for j in judged if j.primary} <= {primary, ''}
         assert {j.policy for j in judged if not j.primary} == {other}
         alone = verdicts_on_samples(samples, POLICY)
-        mine = [j.verdict for j in judged if j.policy in (POLICY, '')]
-        assert mine == [j.verdict for j in alone], 'another policy changes nothing'
+        own = [j.verdict for j in judged if j.policy in (POLICY, '')]
+        assert own == [j.verdict for j in alone], 'another policy changes nothing'
         assert sum(counts(judged).values()) == len(alone)
     assert counts(verdicts_on_samples(both, POLICY))[AGREES] == 7
     assert counts(verdicts_on_samples(both, 'policy:other'))[AGREES] < 7

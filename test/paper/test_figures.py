@@ -182,12 +182,12 @@ def test_the_picture_of_verdicts_has_a_row_for_each_statement_and_a_letter_for_e
 
 
 def test_a_policy_is_better_only_if_the_interval_says_so() -> None:
-    ours = np.linspace(1.0, 2.0, 50)
-    assert compare_samples(ours, ours + 0.1, more=False, margin=0.0) == 'better'
-    assert compare_samples(ours, ours + 0.1, more=True, margin=0.0) == 'worse'
-    assert compare_samples(ours, ours + 0.1, more=True, margin=0.2) == 'same'
-    assert compare_samples(ours, ours[::-1], more=True, margin=0.0) == 'same'
-    assert compare_samples(ours[:1], ours[:1], more=True, margin=0.0) == ''
+    own = np.linspace(1.0, 2.0, 50)
+    assert compare_samples(own, own + 0.1, more=False, margin=0.0) == 'better'
+    assert compare_samples(own, own + 0.1, more=True, margin=0.0) == 'worse'
+    assert compare_samples(own, own + 0.1, more=True, margin=0.2) == 'same'
+    assert compare_samples(own, own[::-1], more=True, margin=0.0) == 'same'
+    assert compare_samples(own[:1], own[:1], more=True, margin=0.0) == ''
 
 
 # ---- files ----

@@ -42,8 +42,8 @@ def test_the_first_candidate_is_the_default_preset(monkeypatch: pytest.MonkeyPat
     for flock in ('strombom', 'reynolds'):
         assert world_preset(CANDIDATE_NAME, flock) == world_preset('default', flock)
         for name in ('strombom', 'pierson'):
-            mine = make_method(name, Setting(preset=CANDIDATE_NAME, flock=flock))
-            assert mine.config == make_method(name, Setting(flock=flock)).config
+            own = make_method(name, Setting(preset=CANDIDATE_NAME, flock=flock))
+            assert own.config == make_method(name, Setting(flock=flock)).config
 
 
 def test_every_choice_arrives_where_it_belongs(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,9 +8,9 @@ from torch import Tensor
 def path(step: Step, weight: float) -> Tensor:
     """Return what the way of a team costs, mean over its shepherds; (...)."""
     before, after = step.before, step.after
-    way = torch.linalg.vector_norm(after.shepherds - before.shepherds, dim=-1)
-    way = (way * after.shepherd_mask).sum(dim=-1) / after.team_size
-    return -weight * way / step.episode_steps
+    direction = torch.linalg.vector_norm(after.shepherds - before.shepherds, dim=-1)
+    direction = (direction * after.shepherd_mask).sum(dim=-1) / after.team_size
+    return -weight * direction / step.episode_steps
 
 
 REWARD_TERMS.add(RewardTerm('path', 'cost of a meter of way, mean over shepherds', path, low=0.0))

@@ -92,7 +92,7 @@ def trained(commands: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[P
     """Return a tiny run of PPO with all of them, and what verbs say of its checkpoint."""
     out = tmp_path_factory.mktemp('ppo') / 'run'
     best = out / 'best.safetensors'
-    said = run(
+    output = run(
         commands / 'python',
         FILES,
         f'train ppo --quick --out {out} --path 0.5 --samples 150 --policy.lidar.others posts '
@@ -102,7 +102,7 @@ def trained(commands: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[P
         'evaluate table --quick --sheep 5 --shepherds 1 --controllers strombom '
         f'policy:{best} --out {out / "rows"}',
     )
-    return out, said[1:]
+    return out, output[1:]
 
 
 def test_in_the_environment(commands: Path, tmp_path: Path) -> None:

@@ -23,10 +23,10 @@ def run(python: Path, plugins: str, *commands: str, **variables: str) -> list[st
     )
     assert done.returncode == 0, done.stdout
     *parts, _ = done.stdout.split('\0')
-    said, codes = parts[::2], parts[1::2]
-    for command, text, code in zip(commands, said, codes, strict=True):
+    output, codes = parts[::2], parts[1::2]
+    for command, text, code in zip(commands, output, codes, strict=True):
         assert code == ('2' if command.startswith('!') else '0'), f'{command}: {text}'
-    return said
+    return output
 
 
 if __name__ == '__main__':

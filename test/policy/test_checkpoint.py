@@ -73,13 +73,13 @@ def test_names_that_are_no_checkpoint_are_refused(tmp_path: Path) -> None:
 def changed(source: Path, target: Path, **metadata: str | None) -> Path:
     """Write a checkpoint with other metadata."""
     with safe_open(source, framework='pt') as file:
-        kept = dict(file.metadata())
+        stored = dict(file.metadata())
         weights = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-    kept |= {key: value for key, value in metadata.items() if value is not None}
+    stored |= {key: value for key, value in metadata.items() if value is not None}
     for key, value in metadata.items():
         if value is None:
-            kept.pop(key, None)
-    save_file(weights, target, kept)
+            stored.pop(key, None)
+    save_file(weights, target, stored)
     return target
 
 
@@ -133,9 +133,9 @@ def test_what_a_terminal_or_a_reader_cannot_bear_is_not_shown(
 ) -> None:
     path = changed(checkpoint, tmp_path / 'odd.safetensors', version='\x1b[2J')
     assert main(['checkpoint', 'info', str(path)]) == 0
-    said = capsys.readouterr().out
-    assert r"shepherd_ros '\x1b[2J'" in said
-    assert '\x1b[2J' not in said
+    output = capsys.readouterr().out
+    assert r"shepherd_ros '\x1b[2J'" in output
+    assert '\x1b[2J' not in output
     config = json.dumps({'layout': 'x' * 10_000})
     path = changed(checkpoint, tmp_path / 'long.safetensors', config=config)
     assert main(['checkpoint', 'info', str(path)]) == 2
@@ -150,12 +150,12 @@ def test_info_is_a_page_for_people_and_json_for_programs(
         path = checkpoint_file(name)
         config, record, version = read_checkpoint_metadata(path)
         assert main(['checkpoint', 'info', name, '--json', '--weights']) == 0
-        told = json.loads(capsys.readouterr().out)
-        assert told['weights'] == {
+        printed = json.loads(capsys.readouterr().out)
+        assert printed['weights'] == {
             key: list(value.shape) for key, value in load_policy(name).state_dict().items()
         }
-        del told['weights']
-        assert told == {
+        del printed['weights']
+        assert printed == {
             'file': str(path),
             'size': path.stat().st_size,
             'version': version,

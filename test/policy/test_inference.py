@@ -46,8 +46,8 @@ def test_the_first_ray_points_to_the_middle_of_the_goal() -> None:
     ):
         # from outside and from inside
         ranges = goal_scan(-distance * math.cos(bearing), -distance * math.sin(bearing), radius)
-        got = float(first_ray(ranges, GOALWARD)) * 2 * math.pi / 512
-        off = math.remainder(got - bearing, 2 * math.pi)
+        result = float(first_ray(ranges, GOALWARD)) * 2 * math.pi / 512
+        off = math.remainder(result - bearing, 2 * math.pi)
         assert abs(off) < 2 * math.pi / 512  # one ray
 
 
@@ -59,11 +59,11 @@ def test_without_goal_in_sight_or_aligned_with_the_world_the_first_ray_is_ray_0(
 
 def test_turned_by_hand() -> None:
     vector = torch.tensor([[1.0, 0.0], [1.0, 0.0], [0.0, 2.0], [3.0, 4.0]])
-    got = rotate_by_ray(vector, torch.tensor([0, 128, 256, 512]), 512)
+    result = rotate_by_ray(vector, torch.tensor([0, 128, 256, 512]), 512)
     expected = torch.tensor([[1.0, 0.0], [0.0, 1.0], [0.0, -2.0], [3.0, 4.0]])
-    torch.testing.assert_close(got, expected, atol=1e-6, rtol=0)
+    torch.testing.assert_close(result, expected, atol=1e-6, rtol=0)
     torch.testing.assert_close(
-        rotate_by_ray(got, torch.tensor([0, -128, -256, -512]), 512), vector
+        rotate_by_ray(result, torch.tensor([0, -128, -256, -512]), 512), vector
     )
 
 
@@ -72,9 +72,9 @@ def test_with_the_goal_in_front_a_turned_world_gets_turned_actions() -> None:
     ranges = torch.stack([goal_scan(9.0, 4.0, 4.0) + 0.01 * k for k in range(3)])[None]
     action = policy.act(ranges)
     for rays in (1, 37, 256, 511):
-        got = policy.act(ranges.roll(rays, dims=-1))
+        result = policy.act(ranges.roll(rays, dims=-1))
         torch.testing.assert_close(
-            got, rotate_by_ray(action, torch.tensor([rays]), 512), atol=1e-5, rtol=0
+            result, rotate_by_ray(action, torch.tensor([rays]), 512), atol=1e-5, rtol=0
         )
 
 

@@ -57,9 +57,9 @@ def test_the_fast_form_is_the_plain_one_with_its_gradients(
     fast, plain = body(x), body.plain(x)
     torch.testing.assert_close(fast, plain, atol=1e-5, rtol=1e-4)
     names = [name for name, _ in body.named_parameters()]
-    got = torch.autograd.grad((fast * weights).sum(), list(body.parameters()))
+    result = torch.autograd.grad((fast * weights).sum(), list(body.parameters()))
     expected = torch.autograd.grad((plain * weights).sum(), list(body.parameters()))
-    for name, a, b in zip(names, got, expected, strict=True):
+    for name, a, b in zip(names, result, expected, strict=True):
         scale = float(b.abs().max())
         assert scale > 0, name
         assert float((a - b).abs().max()) < 2e-3 * scale, name
@@ -150,8 +150,8 @@ def test_a_policy_with_another_configuration_shares_weights_and_leaves_the_first
     other = policy.with_config(wide)
     assert (policy.config, policy.actor.config) == (config, config.network)
     assert (other.config, other.actor.config) == (wide, wide.network)
-    for name, mine in policy.named_parameters():
-        assert other.get_parameter(name) is mine
+    for name, own in policy.named_parameters():
+        assert other.get_parameter(name) is own
     x = sparse_input(4, PAPER)
     (mean, std), (other_mean, other_std) = policy.actor(x), other.actor(x)
     assert torch.equal(mean, other_mean)

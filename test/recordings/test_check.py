@@ -91,8 +91,8 @@ def test_an_episode_that_is_told_again_is_the_same(tmp_path: Path) -> None:
     """flock_sim tells it again to those who are silent; then it goes on."""
     for place in (5, 2 + 12, 2 + 12 * 3):  # within the first state, after it, later
         first = [message for message in MESSAGES[:3] if message.topic in ('/episode', '/goal')]
-        told = [*MESSAGES[:place], *first, *MESSAGES[place:]]
-        result = check(tmp_path / f'bag_{place}', told)
+        printed = [*MESSAGES[:place], *first, *MESSAGES[place:]]
+        result = check(tmp_path / f'bag_{place}', printed)
         assert result.ok, result.text()
         assert (result.episodes, result.unfinished) == (2, [])
 
@@ -253,8 +253,8 @@ def test_each_topic_of_a_bag_has_to_mean_the_same(tmp_path: Path) -> None:
         'its meaning': (hashes | {'metrics/flock_spread': 'x'}, ['/metrics/flock_spread']),
         'a meaning that is not there': (hashes | {'goal_pose': 'x'}, []),
     }
-    for name, (said, wrong) in cases.items():
-        data = {'shepherd_ros.contract': 'abc', 'shepherd_ros.topics': json.dumps(said)}
+    for name, (output, wrong) in cases.items():
+        data = {'shepherd_ros.contract': 'abc', 'shepherd_ros.topics': json.dumps(output)}
         found = check_bag(open_bag(write(tmp_path / name, MESSAGES, custom_data=data))).findings
         assert [(f.kind, f.topic) for f in found] == [('contract', topic) for topic in wrong]
     for text in ('[', '[1]', '7'):

@@ -127,8 +127,8 @@ def counterfactual(capsys: pytest.CaptureFixture[str]) -> Callable[..., Said]:
 
     def run(*words: object) -> Said:
         code = main(['counterfactual', *map(str, words)])
-        said = capsys.readouterr()
-        return code, said.out, said.err
+        output = capsys.readouterr()
+        return code, output.out, output.err
 
     return run
 
@@ -137,11 +137,11 @@ def test_the_verb_writes_a_bag_a_table_and_pictures_of_both_futures(
     tmp_path: Path, counterfactual: Callable[..., Said]
 ) -> None:
     bag, out = recorded(tmp_path, 'pierson'), tmp_path / 'out'
-    code, said, _ = counterfactual(bag, '--at', 4.2, '--controller', 'strombom', '--out', out)
+    code, output, _ = counterfactual(bag, '--at', 4.2, '--controller', 'strombom', '--out', out)
     assert code == 0
-    assert 'strombom from 4 s on, from there, without any memory' in said
+    assert 'strombom from 4 s on, from there, without any memory' in output
     table = (out / 'metrics.md').read_text()
-    assert table in said
+    assert table in output
     assert table.startswith('| after 20 steps | recorded | strombom from 4 s on | unit |')
     assert check_bag(open_bag(out / 'bag'), ('scans', 'commands')).ok
     picture, film = Image.open(out / 'futures.png'), Image.open(out / 'futures.gif')
@@ -163,9 +163,9 @@ def test_the_verb_tells_that_the_recorded_controller_goes_on(
 ) -> None:
     bag, out = recorded(tmp_path, 'pierson', noise=0.5), tmp_path / 'out'
     words = ['--at', 4, '--controller', 'pierson', '-p', 'noise_std:=0.5', '-o', out]
-    code, said, _ = counterfactual(bag, *words)
+    code, output, _ = counterfactual(bag, *words)
     assert code == 0
-    assert 'with its memory of the past' in said
+    assert 'with its memory of the past' in output
     assert diff_bags(open_bag(bag), open_bag(out / 'bag'), times=True).equal
 
 

@@ -1,4 +1,4 @@
-"""What is in a bag, how two bags differ, and tables for other tools."""
+"""Contents of a bag, differences of two bags, and tables for other tools."""
 
 from __future__ import annotations
 
@@ -160,9 +160,9 @@ def test_the_first_difference_is_named(bag: Bag, tmp_path: Path) -> None:
     place = [i for i, m in enumerate(MESSAGES) if m.topic == '/shepherd_0/scan/goal'][1]
     ranges = TRUTH[1].scans[0, 2].copy()
     ranges[4] = 0.5
-    said = changed(tmp_path / 's', bag, place, data=scan_of(TRUTH[1].stamp_ns, ranges))
+    output = changed(tmp_path / 's', bag, place, data=scan_of(TRUTH[1].stamp_ns, ranges))
     assert re.fullmatch(
-        r'/shepherd_0/scan/goal: 10 and 10 messages; number 1: ranges\[4\]: .* and 0\.5', said
+        r'/shepherd_0/scan/goal: 10 and 10 messages; number 1: ranges\[4\]: .* and 0\.5', output
     )
     place = next(i for i, m in enumerate(MESSAGES) if m.topic == '/episode')
     assert 'number 0: data: ' in changed(

@@ -45,8 +45,8 @@ def replay(capsys: pytest.CaptureFixture[str]) -> Callable[..., Said]:
 
     def run(*words: object) -> Said:
         code = main(['replay', *map(str, words), '--without-ros'])
-        said = capsys.readouterr()
-        return code, said.out, said.err
+        output = capsys.readouterr()
+        return code, output.out, output.err
 
     return run
 
@@ -195,8 +195,8 @@ def test_a_bag_has_the_states_of_the_environment_to_the_last_bit(
     memory = controller.begin(env.perceived)
     for t in range(40):
         for name in ('seed', 'step', 'sheep', 'heading', 'shepherds', 'goal', 'goal_radius'):
-            theirs = getattr(env.state, name)[0]
-            assert torch.equal(getattr(states, name)[t], theirs), f'{name} at {t}'
+            reference = getattr(env.state, name)[0]
+            assert torch.equal(getattr(states, name)[t], reference), f'{name} at {t}'
         command, memory = controller.act(env.perceived, memory)
         env.step(command)
 

@@ -115,19 +115,19 @@ def mutated(raw: bytes, rng: random.Random) -> bytes:
     """Return a message with some damage, or none."""
     data = bytearray(raw)
     for _ in range(rng.choice([0, 1, 1, 2, 5])):
-        way, near = rng.randrange(6), rng.random() < 0.7
+        damage, near = rng.randrange(6), rng.random() < 0.7
         at = rng.randrange(min(len(data), 64) if near else len(data)) if data else 0
-        if way == 0:
+        if damage == 0:
             del data[at:]
-        elif way == 1 and data:
+        elif damage == 1 and data:
             data[at] = rng.choice([0, 1, 0x80, 0xFC, 0xFF, rng.randrange(256)])
-        elif way == 2 and len(data) >= 4:
+        elif damage == 2 and len(data) >= 4:
             struct.pack_into('<I', data, min(at // 4 * 4, len(data) - 4), rng.choice(NUMBERS))
-        elif way == 3 and len(data) >= 8:
+        elif damage == 3 and len(data) >= 8:
             struct.pack_into('<d', data, min(at // 4 * 4, len(data) - 8), rng.choice(FLOATS))
-        elif way == 4:
+        elif damage == 4:
             data[at:at] = rng.randbytes(rng.choice([1, 4, 8, 100]))
-        elif way == 5:
+        elif damage == 5:
             del data[at : at + rng.choice([1, 4, 8])]
     return bytes(data)
 
@@ -164,8 +164,8 @@ def ears(nodes: list[ShepherdNode]) -> list[tuple[str, Callable[[bytes], None]]]
     for node in nodes:
         if isinstance(node, Recorder):
             found += [
-                (heard.kind, lambda raw, node=node, name=name: node.receive(name, raw, times))
-                for name, heard in node.subscribed.inputs.items()
+                (received.kind, lambda raw, node=node, name=name: node.receive(name, raw, times))
+                for name, received in node.subscribed.inputs.items()
             ]
         else:
             found += [(type_name(s.msg_type), s.callback) for s in node.subscriptions if s.raw]
@@ -181,16 +181,16 @@ def speak(nodes: list[ShepherdNode], rng: random.Random, count: int) -> None:
     """Let the nodes hear so many messages, and run their timers from time to time."""
     for k in range(count):
         if k % 50 == 0:
-            heard = ears(nodes)
-            for kind, hear in heard:  # most go on from a good episode
+            received = ears(nodes)
+            for kind, deliver in received:  # most go on from a good episode
                 if kind.endswith('String'):
-                    hear(encode_text(episode(random.Random(1))))
+                    deliver(encode_text(episode(random.Random(1))))
             for node in nodes:
                 for timer in node.timers:
                     timer.callback()
                 assert not node.finished, node.get_name()
-        kind, hear = rng.choice(heard)
-        hear(mutated(well_formed(kind, rng), rng))
+        kind, deliver = rng.choice(received)
+        deliver(mutated(well_formed(kind, rng), rng))
 
 
 def resident() -> float:

@@ -63,12 +63,12 @@ class Talk(ShepherdNode):
         """Hear poses; what they say is their stamp."""
         super().__init__(name, transport=transport, context=graph.context, cli_args=[])
         self.out = self.advertise('flock/poses')
-        self.heard: list[int] = []
+        self.received: list[int] = []
         self.reader = self.listen('flock/poses', self.on_poses, decode=bytes)
 
     def on_poses(self, raw: bytes) -> None:
         """Keep the stamp."""
-        self.heard.append(int.from_bytes(raw[8:12], 'little'))
+        self.received.append(int.from_bytes(raw[8:12], 'little'))
 
     def say(self, number: int) -> None:
         """Publish poses with a stamp."""
@@ -114,10 +114,10 @@ def test_everybody_hears_each_message_once_whoever_comes_and_goes(graph: Graph) 
             for k in sent:
                 one.say(k)
             number += count
-            run(nodes, lambda: len(two.heard) >= number and len(one.heard) >= number, graph)
-            for heard in others:
-                run(nodes, lambda heard=heard: len(heard) >= count, graph)
-                assert [m.header.stamp.nanosec for m in heard[-count:]] == sent
+            run(nodes, lambda: len(two.received) >= number and len(one.received) >= number, graph)
+            for messages in others:
+                run(nodes, lambda messages=messages: len(messages) >= count, graph)
+                assert [m.header.stamp.nanosec for m in messages[-count:]] == sent
 
         graph.until(lambda: one.out.get_subscription_count() == 2, 'both have found each other')
         graph.until(
@@ -135,7 +135,7 @@ def test_everybody_hears_each_message_once_whoever_comes_and_goes(graph: Graph) 
         graph.until(lambda: len(one.get_subscriptions_info_by_topic('flock/poses')) == 2, 'gone')
         say(20)
         assert transport.delivered == 40
-        assert one.heard == two.heard == list(range(60))
+        assert one.received == two.received == list(range(60))
 
 
 def test_a_full_queue_drops_the_oldest_and_the_destroyed_hear_nothing(graph: Graph) -> None:
@@ -152,9 +152,9 @@ def test_a_full_queue_drops_the_oldest_and_the_destroyed_hear_nothing(graph: Gra
             one.say(number)
         assert transport.delivered == depth + 7
         two.destroy_subscription(two.reader)
-        run(nodes, lambda: len(one.heard) >= depth)
-        assert one.heard == list(range(7, depth + 7))
-        assert two.heard == []
+        run(nodes, lambda: len(one.received) >= depth)
+        assert one.received == list(range(7, depth + 7))
+        assert two.received == []
 
 
 @pytest.mark.parametrize('executor', EXECUTORS)
@@ -195,15 +195,15 @@ def test_herd_runs_a_stack_in_one_process_and_ends_by_itself(graph: Graph) -> No
 
 
 @pytest.mark.parametrize(
-    ('words', 'said'),
+    ('words', 'printed'),
     [
         (['--controller', 'sheepdog'], "'sheepdog': expected one of drover"),
         (['--shepherds', '0'], 'n_shepherds is 0: expected a value in'),
         (['--sheep', '-1'], 'n_sheep is -1'),
     ],
 )
-def test_herd_names_what_is_wrong(graph: Graph, words: list[str], said: str) -> None:
+def test_herd_names_what_is_wrong(graph: Graph, words: list[str], printed: str) -> None:
     herd = graph.start_words('herd', words)
     assert herd.wait() == 2
-    assert said in herd.text
+    assert printed in herd.text
     assert 'Traceback' not in herd.text

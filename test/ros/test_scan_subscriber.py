@@ -23,8 +23,8 @@ class Node:
 
     def __init__(self) -> None:
         """Begin with nothing said."""
-        self.hear: dict[str, Any] = {}
-        self.said: list[str] = []
+        self.callbacks: dict[str, Any] = {}
+        self.logged: list[str] = []
 
     def option(self, name: str, default: Any, doc: str) -> Any:
         """Return the default."""
@@ -32,7 +32,7 @@ class Node:
 
     def listen(self, topic: str, callback: Any, shepherd: int) -> None:
         """Keep the callback."""
-        self.hear[topic.format(h=shepherd)] = callback
+        self.callbacks[topic.format(h=shepherd)] = callback
 
     def get_logger(self) -> Node:
         """Return what hears warnings."""
@@ -40,7 +40,7 @@ class Node:
 
     def warning(self, text: str, **kwargs: Any) -> None:
         """Keep a warning."""
-        self.said.append(text)
+        self.logged.append(text)
 
 
 def good(shepherd: int = 0, prefix: str = '') -> Scan:
@@ -51,17 +51,17 @@ def good(shepherd: int = 0, prefix: str = '') -> Scan:
 
 @pytest.mark.parametrize('prefix', ['', 'a/', 'far/b/'])
 def test_a_scan_of_the_simulator_fits_whatever_its_namespace(prefix: str) -> None:
-    node, got = Node(), []
-    listener = ScanListener(node, LIDAR, lambda ns, ranges: got.append(ranges))  # type: ignore
+    node, result = Node(), []
+    listener = ScanListener(node, LIDAR, lambda ns, ranges: result.append(ranges))  # type: ignore
     listener.listen_to([7])
-    for hear in node.hear.values():
-        hear(good(7, prefix))
-    assert node.said == []
-    assert got[0][7].shape == (3, LIDAR.n_rays)
+    for deliver in node.callbacks.values():
+        deliver(good(7, prefix))
+    assert node.logged == []
+    assert result[0][7].shape == (3, LIDAR.n_rays)
 
 
 @pytest.mark.parametrize(
-    ('change', 'said'),
+    ('change', 'output'),
     [
         ({'angle_increment': PITCH / 2}, 'angle_increment 0.0061'),
         ({'angle_increment': -PITCH}, 'angle_increment -0.01227'),
@@ -78,14 +78,14 @@ def test_a_scan_of_the_simulator_fits_whatever_its_namespace(prefix: str) -> Non
     ],
     ids=str,
 )
-def test_a_scan_of_another_kind_is_refused_by_name(change: dict[str, Any], said: str) -> None:
-    node, got = Node(), []
-    listener = ScanListener(node, LIDAR, lambda ns, ranges: got.append(ranges))  # type: ignore
+def test_a_scan_of_another_kind_is_refused_by_name(change: dict[str, Any], output: str) -> None:
+    node, result = Node(), []
+    listener = ScanListener(node, LIDAR, lambda ns, ranges: result.append(ranges))  # type: ignore
     listener.listen_to([0])
-    for name, hear in node.hear.items():
-        hear(good()._replace(**change) if name.endswith('goal') else good())
-    assert got == []
-    assert len(node.said) == 1
-    assert node.said[0].startswith(f'shepherd_0/scan/goal: {said}')
+    for name, deliver in node.callbacks.items():
+        deliver(good()._replace(**change) if name.endswith('goal') else good())
+    assert result == []
+    assert len(node.logged) == 1
+    assert node.logged[0].startswith(f'shepherd_0/scan/goal: {output}')
     assert listener.missing_scans() == ['shepherd_0/scan/goal']
     assert sum(listener.faults.values()) == 1

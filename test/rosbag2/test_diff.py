@@ -1,4 +1,4 @@
-"""Where two decoded values differ first, by hand."""
+"""The first difference of two decoded values, by hand."""
 
 from __future__ import annotations
 

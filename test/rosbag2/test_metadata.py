@@ -115,8 +115,8 @@ TWO_FILES = Metadata(
 
 
 def test_metadata_says_in_the_same_order_what_rosbag2_says() -> None:
-    ours, theirs = yaml.safe_load(TWO_FILES.document()), yaml.safe_load(DOCUMENT)
-    assert json.dumps(ours) == json.dumps(theirs)
+    own, reference = yaml.safe_load(TWO_FILES.document()), yaml.safe_load(DOCUMENT)
+    assert json.dumps(own) == json.dumps(reference)
 
 
 def test_the_record_in_the_file_is_the_inner_map() -> None:

@@ -1,4 +1,4 @@
-"""What a crash, a torn disk or a flipped bit costs: at most the chunk that it hits."""
+"""A crash, a torn disk or a flipped bit costs at most the chunk that it hits."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tiny_bag(tmp_path_factory.mktemp('w') / 'bag', chunk_size=CHUNK)
 
 
-def kept(folder: Path) -> list[Sent]:
+def stored(folder: Path) -> list[Sent]:
     """Return the messages of a bag after every reader has opened it."""
     rows = [
         Sent(m.topic, m.type, m.data, m.log_ns, m.publish_ns) for m in open_bag(folder).messages()
@@ -46,8 +46,8 @@ def kept(folder: Path) -> list[Sent]:
     for reader in (Reader(folder), AnyReader([folder])):
         with reader:
             assert reader.message_count == len(rows)
-            theirs = reader.messages(reader.connections)
-            assert [(c.topic, ns, bytes(d)) for c, ns, d in theirs] == [
+            reference = reader.messages(reader.connections)
+            assert [(c.topic, ns, bytes(d)) for c, ns, d in reference] == [
                 (m.topic, m.log_ns, m.data) for m in rows
             ]
     for file in folder.glob('*.mcap'):
@@ -73,7 +73,7 @@ def lost(rows: list[Sent]) -> int:
 def test_a_whole_bag_comes_out_equal(whole: Path, tmp_path: Path) -> None:
     result = recover_recording(whole, tmp_path / 'new')
     assert (result.messages, result.lost_bytes, result.lost_chunks) == (len(MESSAGES), 0, 0)
-    assert kept(tmp_path / 'new') == MESSAGES
+    assert stored(tmp_path / 'new') == MESSAGES
     assert diff_bags(open_bag(whole), open_bag(tmp_path / 'new'), times=True).equal
     assert open_bag(tmp_path / 'new').custom_data == open_bag(whole).custom_data
     assert open_bag(tmp_path / 'new').topics == open_bag(whole).topics
@@ -95,11 +95,11 @@ def test_a_file_that_was_cut_off_loses_what_was_cut(
     result = recover_recording(torn)
     assert torn.read_bytes() == data[:size]
     assert result.folder == tmp_path / 'torn_recovered'
-    rows = kept(result.folder)
+    rows = stored(result.folder)
     assert rows == MESSAGES[: len(rows)]
-    there = [chunk for chunk in chunks if chunk.offset + chunk.length <= size]
-    torn_one = chunks[: len(there) + 1]
-    assert messages_in(whole, there) <= len(rows) <= messages_in(whole, torn_one)
+    present = [chunk for chunk in chunks if chunk.offset + chunk.length <= size]
+    torn_one = chunks[: len(present) + 1]
+    assert messages_in(whole, present) <= len(rows) <= messages_in(whole, torn_one)
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith('.')] == []
 
 
@@ -122,7 +122,7 @@ def test_a_torn_place_costs_the_chunks_that_it_touches(tmp_path: Path, seed: int
     touched = [chunk for chunk, place in places.items() if data[place] != before[place]]
     result = recover_recording(folder)
     assert path.read_bytes() == bytes(data)
-    assert lost(kept(result.folder)) == sum(counts[chunk] for chunk in touched)
+    assert lost(stored(result.folder)) == sum(counts[chunk] for chunk in touched)
     assert result.lost_chunks or not touched
 
 
@@ -134,7 +134,7 @@ def test_without_summary_the_front_tells_of_the_topics(whole: Path, tmp_path: Pa
     chunks = Storage(path).chunks
     path.write_bytes(path.read_bytes()[: chunks[-1].offset + chunks[-1].length])
     result = recover_recording(copy)
-    assert kept(result.folder) == MESSAGES
+    assert stored(result.folder) == MESSAGES
     assert result.lost_bytes == 0
     # the first episode comes from its topic
     assert open_bag(result.folder).custom_data == open_bag(whole).custom_data
@@ -154,7 +154,7 @@ def test_files_of_the_mcap_library(tmp_path: Path, chunked: bool) -> None:
     mcap_of_others(path, MESSAGES, use_chunking=chunked, chunk_size=CHUNK)
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2])
-    rows = kept(recover_recording(path).folder)
+    rows = stored(recover_recording(path).folder)
     assert rows == MESSAGES[: len(rows)]
     assert len(rows) > len(MESSAGES) // 4
 
@@ -169,7 +169,7 @@ def test_split_bags_stay_split_and_one_bad_file_is_told(tmp_path: Path) -> None:
     assert len(list(result.folder.glob('*.mcap'))) == count - 1 == result.files
     assert len(result.refused) == 1
     assert 'bag_1.mcap: it is no MCAP file' in result.text()
-    kept(result.folder)
+    stored(result.folder)
 
 
 def test_what_has_nothing_to_recover_is_refused(tmp_path: Path, whole: Path) -> None:
@@ -195,7 +195,7 @@ def test_a_file_with_nothing_but_a_front_gives_an_empty_bag(whole: Path, tmp_pat
     data = (whole / 'bag_0.mcap').read_bytes()
     for size in (8, 20, 200):
         (tmp_path / f'{size}.mcap').write_bytes(data[:size])
-        assert kept(recover_recording(tmp_path / f'{size}.mcap').folder) == []
+        assert stored(recover_recording(tmp_path / f'{size}.mcap').folder) == []
 
 
 def test_a_last_chunk_that_was_altered_is_lost_and_a_torn_one_is_not(
@@ -210,7 +210,7 @@ def test_a_last_chunk_that_was_altered_is_lost_and_a_torn_one_is_not(
         (tmp_path / f'{size}.mcap').write_bytes(data[:size])
         result = recover_recording(tmp_path / f'{size}.mcap')
         assert result.messages == messages_in(whole, chunks[:-1])
-        assert kept(result.folder) == MESSAGES[: result.messages]
+        assert stored(result.folder) == MESSAGES[: result.messages]
 
 
 # ---- salvage, record by record ----
@@ -300,7 +300,7 @@ def test_the_end_tells_of_topics_that_a_lost_chunk_would_have_told_of(tmp_path: 
     result = recover_recording(path)
     assert (result.messages, result.lost_chunks) == (sum(counts[1:]), 1)
     assert result.lost_bytes == chunks[0].length + len(index_of(path, chunks[0]))
-    assert kept(result.folder) == MESSAGES[counts[0] :]
+    assert stored(result.folder) == MESSAGES[counts[0] :]
 
 
 def index_of(path: Path, chunk: ChunkRef) -> bytes:
@@ -363,7 +363,7 @@ def test_two_types_on_one_topic_keep_the_first(tmp_path: Path) -> None:
     other = write(tmp_path / 'b', [MESSAGES[0]._replace(topic='/flock/poses', log_ns=10**18)])
     shutil.move(other / 'b_0.mcap', first / 'bag_1.mcap')
     result = recover_recording(first)
-    assert kept(result.folder) == MESSAGES[:20]
+    assert stored(result.folder) == MESSAGES[:20]
     assert result.lost_bytes == len(MESSAGES[0].data)
     assert not result.whole
     assert '1 messages: /flock/poses has type geometry_msgs/msg/PoseArray' in result.text()

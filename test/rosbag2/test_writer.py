@@ -72,26 +72,26 @@ def test_every_reader_sees_what_was_written(tmp_path: Path, kind: str, chunk_siz
             ]
         assert rows == [(m.topic, m.type, m.log_ns, m.data) for m in MESSAGES]
     with file.open('rb') as stream:
-        theirs = [
+        reference = [
             (c.topic, s and s.name, m.log_time, m.publish_time, m.data)
             for s, c, m in make_reader(stream, validate_crcs=True).iter_messages()
         ]
-    assert theirs == sent
+    assert reference == sent
 
 
 @pytest.mark.parametrize('kind', KINDS)
 def test_mcap_ros2_decodes_equal_values(tmp_path: Path, kind: str) -> None:
     folder = tiny_bag(tmp_path / 'bag', compression=kind)
-    for ours, (_, channel, _, theirs) in zip(MESSAGES, ros2(folder / 'bag_0.mcap'), strict=True):
-        assert channel.topic == ours.topic
-        expected: Any = STORE.deserialize_cdr(ours.data, ours.type)
-        if ours.type.endswith('LaserScan'):
-            assert theirs.ranges == expected.ranges.tolist()
-        elif ours.type.endswith('PoseArray'):
-            xy = [(p.position.x, p.position.y) for p in theirs.poses]
+    for own, (_, channel, _, reference) in zip(MESSAGES, ros2(folder / 'bag_0.mcap'), strict=True):
+        assert channel.topic == own.topic
+        expected: Any = STORE.deserialize_cdr(own.data, own.type)
+        if own.type.endswith('LaserScan'):
+            assert reference.ranges == expected.ranges.tolist()
+        elif own.type.endswith('PoseArray'):
+            xy = [(p.position.x, p.position.y) for p in reference.poses]
             assert xy == [(p.position.x, p.position.y) for p in expected.poses]
-        elif ours.type.endswith('TwistStamped'):
-            assert theirs.twist.linear.x == expected.twist.linear.x
+        elif own.type.endswith('TwistStamped'):
+            assert reference.twist.linear.x == expected.twist.linear.x
 
 
 def test_the_file_is_what_rosbag2_writes(tmp_path: Path) -> None:
@@ -337,11 +337,11 @@ def test_kill_costs_at_most_one_chunk(tmp_path: Path) -> None:
             pass
         process.send_signal(signal.SIGKILL)
         rest = process.stdout.read().split('\n')
-    told = max([500, *(int(line) for line in rest if line)])
+    printed = max([500, *(int(line) for line in rest if line)])
     with pytest.raises(BagError, match=r'bag_0.mcap: it has no end: .* bag recover'):
         open_bag(tmp_path / 'bag')
     result = recover(tmp_path / 'bag')
-    assert told + 1 - result.messages <= 16384 // 1030 + 1
+    assert printed + 1 - result.messages <= 16384 // 1030 + 1
     times = [message.log_ns for message in open_bag(result.folder).messages()]
     assert times == list(range(result.messages))
 
@@ -358,17 +358,19 @@ def test_a_full_disk_is_told_and_what_is_there_stays_readable(tmp_path: Path, si
     code += 'except Exception as error:\n    print(type(error).__name__, error)\n'
     with lines(tmp_path / 'bag', code, preexec_fn=lambda: limit_files(size)) as process:
         assert process.stdout is not None
-        said = process.stdout.read().strip().split('\n')[-1]
+        output = process.stdout.read().strip().split('\n')[-1]
     assert process.returncode == 0
-    kept = open_bag(tmp_path / 'bag').count
-    assert said.startswith(f'BagError {tmp_path / "bag"}: it cannot be written (File too large); ')
-    assert f'{kept} messages are kept; free space or choose another place' in said
+    stored = open_bag(tmp_path / 'bag').count
+    assert output.startswith(
+        f'BagError {tmp_path / "bag"}: it cannot be written (File too large); '
+    )
+    assert f'{stored} messages are kept; free space or choose another place' in output
     assert (tmp_path / 'bag' / 'metadata.yaml').exists()
-    assert (size - 12_000) // 1030 - 32 <= kept <= size // 1030
+    assert (size - 12_000) // 1030 - 32 <= stored <= size // 1030
     times = [message.log_ns for message in open_bag(tmp_path / 'bag').messages()]
-    assert times == list(range(kept))
+    assert times == list(range(stored))
     with Reader(tmp_path / 'bag') as reader:
-        assert reader.message_count == kept
+        assert reader.message_count == stored
 
 
 def test_a_chunk_on_the_disk_can_be_read_while_the_recording_goes_on(tmp_path: Path) -> None:

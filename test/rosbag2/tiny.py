@@ -204,8 +204,8 @@ def write(folder: Path, messages: Iterable[Sent], *, own: bool = True, **options
     profiles = contract()[1]
     with (RecordingWriter if own else BagWriter)(folder, **options) as writer:
         for topic, kind, data, log_ns, publish_ns in messages:
-            ours = known(topic)
-            qos = [offered_qos(profiles[ours.topic.profile])] if ours else []
+            actual = known(topic)
+            qos = [offered_qos(profiles[actual.topic.profile])] if actual else []
             schema = 'ros2msg', known_text(kind)
             writer.add_topic(topic, kind, qos, schema=schema, hash_text=type_hash(kind))
             writer.write(topic, data, log_ns, publish_ns)

@@ -135,8 +135,8 @@ def test_on_a_grid_a_large_flock_moves_as_without(monkeypatch, shape) -> None:
         law = model_of(flock).step
         fast, plain = both(monkeypatch, law, state, flock, config.dt)
         present = state.sheep_mask  # what becomes of the absent is nobody's business
-        for ours, wanted in zip(fast, plain, strict=True):
-            torch.testing.assert_close(ours[present], wanted[present], atol=2e-4, rtol=1e-6)
+        for own, wanted in zip(fast, plain, strict=True):
+            torch.testing.assert_close(own[present], wanted[present], atol=2e-4, rtol=1e-6)
 
 
 def test_the_farthest_sheep_are_found_however_wide_the_flock_is(monkeypatch) -> None:
@@ -148,9 +148,9 @@ def test_the_farthest_sheep_are_found_however_wide_the_flock_is(monkeypatch) -> 
         )
         law = model_of(flock).step
         fast, plain = both(monkeypatch, law, state, flock, config.dt)
-        for ours, wanted in zip(fast, plain, strict=True):
+        for own, wanted in zip(fast, plain, strict=True):
             torch.testing.assert_close(
-                ours[state.sheep_mask], wanted[state.sheep_mask], atol=1e-4, rtol=1e-6
+                own[state.sheep_mask], wanted[state.sheep_mask], atol=1e-4, rtol=1e-6
             )
 
 

@@ -58,9 +58,9 @@ def test_an_option_has_a_sentence_and_a_default_that_is_allowed() -> None:
 def test_an_option_of_another_type_is_refused(bad: Any) -> None:
     for config, field in OPTIONS:
         if field.name not in FREE_TEXT or not isinstance(bad, str):
-            said = message(config, **{field.name: bad})
-            assert said.startswith(f'{field.name} is {bad!r}')
-            assert 'expected' in said
+            output = message(config, **{field.name: bad})
+            assert output.startswith(f'{field.name} is {bad!r}')
+            assert 'expected' in output
 
 
 def test_an_option_of_free_text_takes_any() -> None:
@@ -75,18 +75,18 @@ def test_numbers_and_switches_are_not_mistaken_for_each_other() -> None:
     for config, field in OPTIONS:
         kind = type(field.default)
         for bad in others[kind]:
-            said = message(config, **{field.name: bad})
-            assert f'{field.name} is {bad!r} ({type(bad).__name__})' in said
-            assert f'expected {kind.__name__}, such as {field.default!r}' in said
+            output = message(config, **{field.name: bad})
+            assert f'{field.name} is {bad!r} ({type(bad).__name__})' in output
+            assert f'expected {kind.__name__}, such as {field.default!r}' in output
 
 
 def test_a_number_that_is_not_finite_is_refused() -> None:
     for config, field in OPTIONS:
         for bad in (math.nan, math.inf, -math.inf):
-            said = message(config, **{field.name: bad})
-            assert said.startswith(f'{field.name} is {bad}')
+            output = message(config, **{field.name: bad})
+            assert output.startswith(f'{field.name} is {bad}')
             if isinstance(field.default, float):
-                assert f'expected a finite number, such as {field.default}' in said
+                assert f'expected a finite number, such as {field.default}' in output
 
 
 @pytest.mark.parametrize(('end', 'outside'), [('low', -1), ('high', 1)])
@@ -98,10 +98,10 @@ def test_a_number_outside_its_range_is_refused_and_the_ends_are_allowed(
     for config, field in limited:
         limit = type(field.default)(field.metadata[end])
         bad = limit + outside
-        said = message(config, **{field.name: bad})
-        assert said.startswith(f'{field.name} is {bad}: expected a value in [')
-        assert f', such as {field.default}' in said
-        assert str(field.metadata[end]) in said
+        output = message(config, **{field.name: bad})
+        assert output.startswith(f'{field.name} is {bad}: expected a value in [')
+        assert f', such as {field.default}' in output
+        assert str(field.metadata[end]) in output
         assert checked(field.name, limit, field.default, field.metadata) == limit
 
 
@@ -109,11 +109,11 @@ def test_a_choice_that_is_none_is_refused_with_those_there_are() -> None:
     chosen = [(c, f) for c, f in OPTIONS if f.metadata['choices']]
     assert len(chosen) > 3
     for config, field in chosen:
-        said = message(config, **{field.name: field.default + 'x'})
-        assert f'{field.name} is {field.default + "x"!r}' in said
-        assert f'did you mean {field.default!r}?' in said
+        output = message(config, **{field.name: field.default + 'x'})
+        assert f'{field.name} is {field.default + "x"!r}' in output
+        assert f'did you mean {field.default!r}?' in output
         for choice in field.metadata['choices']:
-            assert choice in said
+            assert choice in output
         assert 'did you mean' not in message(config, **{field.name: '???'})
 
 
@@ -164,8 +164,8 @@ def test_intervals_of_the_spawn_have_to_be_in_order() -> None:
 
 
 def test_the_smallest_team_has_to_fit_in_the_team() -> None:
-    said = message(WorldConfig, n_shepherds=2, spawn=SpawnConfig(fewest_shepherds=3))
-    assert said == 'fewest_shepherds is 3: expected at most n_shepherds, 2'
+    output = message(WorldConfig, n_shepherds=2, spawn=SpawnConfig(fewest_shepherds=3))
+    assert output == 'fewest_shepherds is 3: expected at most n_shepherds, 2'
     assert WorldConfig(n_shepherds=3, spawn=SpawnConfig(fewest_shepherds=3))
 
 
@@ -220,8 +220,12 @@ def test_a_world_with_its_flock_survives_json_inside_an_environment(flock: Any) 
 def test_what_data_leave_out_keeps_its_default() -> None:
     assert EnvConfig.from_dict({}) == EnvConfig()
     assert WorldConfig.from_dict({'n_sheep': 5}) == WorldConfig(n_sheep=5)
-    got = EnvConfig.from_dict({'world': {'flock': {'model': 'reynolds'}}, 'lidar': {'n_rays': 16}})
-    assert got == EnvConfig(world=WorldConfig(flock=ReynoldsFlock()), lidar=LidarConfig(n_rays=16))
+    result = EnvConfig.from_dict(
+        {'world': {'flock': {'model': 'reynolds'}}, 'lidar': {'n_rays': 16}}
+    )
+    assert result == EnvConfig(
+        world=WorldConfig(flock=ReynoldsFlock()), lidar=LidarConfig(n_rays=16)
+    )
 
 
 def test_an_unknown_name_in_data_is_refused() -> None:

@@ -134,11 +134,11 @@ def test_metrics_are_those_of_the_trajectory_of_true_states() -> None:
     for _ in range(15):
         env.step(action(env))
         states.append(env.state)
-    got = env.metrics()
+    result = env.metrics()
     for b in range(3):
         expected = trajectory_metrics([World.of(s.world(b)) for s in states], 1000)
         for name in METRICS:
-            assert_near(got[name][b].double(), expected[name], 1e-3)
+            assert_near(result[name][b].double(), expected[name], 1e-3)
 
 
 # --- the end of an episode ----------------------------------------------------------------------
@@ -186,14 +186,14 @@ def test_what_was_kept_is_not_changed_by_later_steps() -> None:
     env = ShepherdEnv(config(2), 2)
     env.reset()
     info = advance(env, 2)[-1][4]
-    kept = {name: info[name].clone() for name in ('final_observation',)}
-    kept |= {name: value.clone() for name, value in info['final_metrics'].items()}
+    stored = {name: info[name].clone() for name in ('final_observation',)}
+    stored |= {name: value.clone() for name, value in info['final_metrics'].items()}
     sheep = info['final_state'].sheep.clone()
     advance(env, 3)
-    assert same(info['final_observation'], kept['final_observation'])
+    assert same(info['final_observation'], stored['final_observation'])
     assert same(info['final_state'].sheep, sheep)
     for name, value in info['final_metrics'].items():
-        assert same(value, kept[name])
+        assert same(value, stored[name])
 
 
 def test_observations_handed_out_are_not_changed_by_later_steps() -> None:

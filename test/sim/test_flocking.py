@@ -245,10 +245,10 @@ def test_a_reacting_sheep_moves_exactly_its_speed_times_dt_and_a_grazing_one_tha
     config = StrombomFlock(speed=speed, graze_probability=0.5)
     state = make_state(seed, n, m, spread=8.0, reach=40.0)
     sheep, heading = flock_step(state, config, dt)
-    way = (sheep - state.sheep).norm(dim=-1)
+    displacement = (sheep - state.sheep).norm(dim=-1)
     reacting = reacts(state, config)
-    assert_near(way[reacting], torch.full_like(way[reacting], speed * dt), 1e-6)
-    grazing = way[~reacting]
+    assert_near(displacement[reacting], torch.full_like(displacement[reacting], speed * dt), 1e-6)
+    grazing = displacement[~reacting]
     assert ((grazing == 0) | ((grazing - speed * dt).abs() < 1e-6)).all()
     assert_near(heading.norm(dim=-1), torch.ones(n), 1e-6)
 
@@ -260,8 +260,8 @@ def test_a_reynolds_sheep_always_moves_exactly_its_speed_times_dt(
 ) -> None:
     state = make_state(seed, n, m)
     sheep, _ = flock_step(state, ReynoldsFlock(), dt)
-    way = (sheep - state.sheep).norm(dim=-1)
-    assert_near(way, torch.full((n,), dt / 3), 1e-7)
+    displacement = (sheep - state.sheep).norm(dim=-1)
+    assert_near(displacement, torch.full((n,), dt / 3), 1e-7)
 
 
 def test_a_grazing_sheep_keeps_its_heading_or_takes_the_drawn_one() -> None:
@@ -283,8 +283,8 @@ def test_speed_times_dt_is_exact_in_float64() -> None:
         state = make_state(4, 50, 3, spread=2.0, reach=5.0)
         heading = state.heading / state.heading.norm(dim=-1, keepdim=True)
         sheep, _ = flock_step(replace(state, heading=heading), config, 0.5)
-        way = (sheep - state.sheep).norm(dim=-1)
-        assert_near(way, torch.full((50,), 1 / 6, dtype=torch.float64), 1e-12)
+        displacement = (sheep - state.sheep).norm(dim=-1)
+        assert_near(displacement, torch.full((50,), 1 / 6, dtype=torch.float64), 1e-12)
 
 
 # --- symmetries ---------------------------------------------------------------------------------
@@ -300,10 +300,10 @@ def test_a_step_of_the_turned_and_shifted_world_is_the_turned_and_shifted_step(
     command = 0.4 * state.heading[:1].expand(m, 2)
     c, s = math.cos(angle), math.sin(angle)
     expected = moved(step(state, command, world), angle, shift)
-    got = step(moved(state, angle, shift), turned(command, c, s), world)
-    assert_near(got.sheep, expected.sheep, 1e-7)
-    assert_near(got.heading, expected.heading, 1e-7)
-    assert_near(got.shepherds, expected.shepherds, 1e-7)
+    result = step(moved(state, angle, shift), turned(command, c, s), world)
+    assert_near(result.sheep, expected.sheep, 1e-7)
+    assert_near(result.heading, expected.heading, 1e-7)
+    assert_near(result.shepherds, expected.shepherds, 1e-7)
 
 
 @invariant
@@ -319,9 +319,9 @@ def test_the_order_of_sheep_and_of_shepherds_does_not_matter(
         heading=state.heading[order],
         shepherds=state.shepherds[team],
     )
-    expected, got = flock_step(state, config), flock_step(shuffled, config)
-    assert_near(got[0], expected[0][order], 1e-9)
-    assert_near(got[1], expected[1][order], 1e-9)
+    expected, result = flock_step(state, config), flock_step(shuffled, config)
+    assert_near(result[0], expected[0][order], 1e-9)
+    assert_near(result[1], expected[1][order], 1e-9)
 
 
 # --- degenerate worlds --------------------------------------------------------------------------
@@ -364,8 +364,8 @@ def test_a_step_of_a_degenerate_world_is_the_reference(config: Any) -> None:
     for world, dtype in product(degenerate_worlds().values(), DTYPES):
         state = world.to(torch.float32).to(dtype)
         expected = REFERENCES[type(config)](World.of(state), config, 0.5)
-        for got, wanted in zip(flock_step(state, config), expected, strict=True):
-            assert_near(got, wanted, 1e-7 if dtype == torch.float64 else 1e-4)
+        for result, wanted in zip(flock_step(state, config), expected, strict=True):
+            assert_near(result, wanted, 1e-7 if dtype == torch.float64 else 1e-4)
 
 
 def test_sheep_in_one_point_do_not_attract_each_other_wherever_it_is() -> None:
@@ -495,8 +495,8 @@ def test_any_number_of_leading_axes_is_a_batch() -> None:
     )
     command = torch.zeros_like(flat.shepherds)
     expected = step(flat, command, WorldConfig())
-    got = step(grid, command.unflatten(0, (2, 3)), WorldConfig())
-    assert torch.equal(got.sheep.flatten(0, 1), expected.sheep)
+    result = step(grid, command.unflatten(0, (2, 3)), WorldConfig())
+    assert torch.equal(result.sheep.flatten(0, 1), expected.sheep)
 
 
 @pytest.mark.parametrize('config', NOISY_FLOCKS, ids=flock_ids)

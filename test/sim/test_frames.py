@@ -32,9 +32,9 @@ def test_the_newest_reading_comes_last_and_the_oldest_leaves() -> None:
 def test_pushing_does_not_change_the_stack_it_is_given() -> None:
     frames = Frames(2, 1)
     before = frames.begin(frame(0.0))
-    kept = before.clone()
+    stored = before.clone()
     frames.push(before, frame(10.0))
-    assert torch.equal(before, kept)
+    assert torch.equal(before, stored)
 
 
 def test_a_stack_of_one_frame_is_that_frame() -> None:

@@ -1,4 +1,4 @@
-"""What torch compiles for a GPU: it is taken in whole, means the same, and only runs there."""
+"""Functions that torch compiles for a GPU: compiled whole, equal to their laws, and only there."""
 
 from __future__ import annotations
 
@@ -49,16 +49,16 @@ def test_the_gradient_of_a_compiled_stage_is_that_of_the_plain_one() -> None:
     shapes = ((5, 3, 64), (8, 3, 10), (8,))
     arguments = [torch.randn(shape, generator=draw).requires_grad_() for shape in shapes]
     graph = torch.compile(plain_stage.__wrapped__, fullgraph=True, backend='aot_eager')
-    ours = torch.autograd.grad(graph(*arguments).square().sum(), arguments)
+    own = torch.autograd.grad(graph(*arguments).square().sum(), arguments)
     wanted = torch.autograd.grad(plain_stage(*arguments).square().sum(), arguments)
-    torch.testing.assert_close(ours, wanted)
+    torch.testing.assert_close(own, wanted)
 
 
 def test_only_tensors_on_a_gpu_make_torch_compile(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[str] = []
+    requested: list[str] = []
 
     def compile_it(function: Callable[..., Any]) -> Callable[..., Any]:
-        asked.append(function.__name__)
+        requested.append(function.__name__)
         return function
 
     @fused
@@ -67,7 +67,7 @@ def test_only_tensors_on_a_gpu_make_torch_compile(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(torch, 'compile', compile_it)
     assert twice(torch.ones(1), 2) == 2
-    assert asked == []
+    assert requested == []
     monkeypatch.setattr(module, 'fusible', lambda tensor: True)
     assert twice(torch.ones(1), 2) == twice(torch.ones(2), 2)[0] == 2
-    assert asked == ['twice']
+    assert requested == ['twice']

@@ -67,12 +67,12 @@ def test_two_hundred_scenes_are_those_of_every_ray_with_every_disc(
     compare_samples = left_out = seen = 0
     for seed in range(200):
         state, config = scene(seed)
-        got = scan(state.to(dtype), config).double().numpy()
+        result = scan(state.to(dtype), config).double().numpy()
         world = World.of(state)
         for me in range(len(world.shepherds)):
             expected, unsure = lidar(world, me, config, margin)
             np.testing.assert_allclose(
-                got[me][~unsure],
+                result[me][~unsure],
                 expected[~unsure],
                 rtol=0,
                 atol=tolerance,
@@ -87,10 +87,10 @@ def test_two_hundred_scenes_are_those_of_every_ray_with_every_disc(
 
 def test_a_scan_of_a_thousand_sheep_by_twenty_shepherds_is_the_reference() -> None:
     state, config = make_state(9, 1000, 20, spread=15.0, reach=60.0), LidarConfig()
-    got = scan(state, config).numpy()
+    result = scan(state, config).numpy()
     for me in (0, 7, 19):
         expected, unsure = lidar(World.of(state), me, config, 1e-6)
-        np.testing.assert_allclose(got[me][~unsure], expected[~unsure], rtol=0, atol=1e-5)
+        np.testing.assert_allclose(result[me][~unsure], expected[~unsure], rtol=0, atol=1e-5)
 
 
 def test_float32_sees_what_float64_sees_but_for_grazed_edges() -> None:
@@ -330,9 +330,9 @@ def test_turning_the_world_by_some_rays_turns_the_scan_by_as_many(
     seed: int, turn: int, n: int, m: int
 ) -> None:
     state, config = make_state(seed, n, m), LidarConfig(n_rays=64)
-    got = scan(moved(state, 2 * math.pi * turn / 64, (3.0, -7.0)), config)
+    result = scan(moved(state, 2 * math.pi * turn / 64, (3.0, -7.0)), config)
     expected = scan(state, config).roll(turn, dims=-1)
-    off = ~(((got - expected).abs() < 1e-4) | (got == expected))
+    off = ~(((result - expected).abs() < 1e-4) | (result == expected))
     assert off.double().mean() < 1e-3  # an edge may be grazed
 
 

@@ -33,10 +33,10 @@ def first(count: bool = True, seed: int = 5) -> Moment:
     return start(spawn(CONFIG.world, torch.arange(seed, seed + 3)), CONFIG, count)
 
 
-def same_numbers(got: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) -> None:
-    assert set(got) == set(expected)
+def same_numbers(result: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) -> None:
+    assert set(result) == set(expected)
     for name, value in expected.items():
-        assert torch.equal(got[name], value), name
+        assert torch.equal(result[name], value), name
 
 
 def test_a_moment_is_the_laws_one_after_the_other() -> None:
@@ -96,12 +96,12 @@ def test_a_goal_is_moved_before_the_moment_is_counted() -> None:
 def test_a_restarted_world_begins_and_the_others_go_on() -> None:
     moment = advance(advance(first(), COMMAND), COMMAND)
     fresh = first(seed=50)
-    got = restart(moment, torch.tensor([False, True, False]), fresh.state)
+    result = restart(moment, torch.tensor([False, True, False]), fresh.state)
     for b, expected in enumerate((moment, fresh, moment)):
-        assert_same_world(got.state.world(b), expected.state.world(b))
-        assert_same_world(got.before.world(b), expected.before.world(b))
+        assert_same_world(result.state.world(b), expected.state.world(b))
+        assert_same_world(result.before.world(b), expected.before.world(b))
         for name, value in expected.metrics().items():
-            assert torch.equal(got.metrics()[name][b], value[b]), name
+            assert torch.equal(result.metrics()[name][b], value[b]), name
     assert restart(first(count=False), torch.tensor([True] * 3), fresh.state).tally is None
 
 

@@ -45,9 +45,9 @@ def test_layout_frames_has_a_channel_per_frame_with_the_types_in_a_row() -> None
 def test_layout_ring_has_a_channel_per_frame_and_type_with_the_rays_in_a_row() -> None:
     config = ObservationConfig(n_frames=2, layout='ring')
     expected = [[0, 1], [2, 3], [4, 5], [10, 11], [12, 13], [14, 15]]
-    got = network_input(stack_of_two(), config, 1.0)
-    assert sorted(got.tolist()) == [[float(v) for v in row] for row in expected]
-    assert_near(got, expected, 0.0)
+    result = network_input(stack_of_two(), config, 1.0)
+    assert sorted(result.tolist()) == [[float(v) for v in row] for row in expected]
+    assert_near(result, expected, 0.0)
 
 
 @pytest.mark.parametrize('layout', LAYOUTS)
@@ -57,8 +57,8 @@ def test_ranges_are_in_units_of_the_greatest_and_free_rays_have_a_value_of_their
     ranges = torch.tensor([[75.0, INF], [37.5, 0.75], [INF, INF]])
     for none in (0.0, 1.0):
         config = ObservationConfig(n_frames=1, layout=layout, none_value=none)
-        got = network_input(ranges[None], config, 75.0)
-        assert_near(got.flatten(), [1.0, none, 0.5, 0.01, none, none], 1e-6)
+        result = network_input(ranges[None], config, 75.0)
+        assert_near(result.flatten(), [1.0, none, 0.5, 0.01, none, none], 1e-6)
 
 
 def test_a_disc_at_hand_is_no_free_ray_with_a_nearest_range_and_a_value_for_none() -> None:
@@ -78,9 +78,9 @@ def test_the_announced_shape_is_that_of_the_input_for_any_leading_axes(
     ranges = torch.rand(4, 5, 3, 16, generator=torch.Generator().manual_seed(0))
     frames = config.frames(0.5)
     stack = frames.push(frames.begin(ranges), ranges * 2)
-    got = network_input(stack, config, 75.0)
-    assert got.shape == (4, 5, *input_shape(config, 16))
-    assert torch.equal(got[2, 3], network_input(stack[2, 3], config, 75.0))
+    result = network_input(stack, config, 75.0)
+    assert result.shape == (4, 5, *input_shape(config, 16))
+    assert torch.equal(result[2, 3], network_input(stack[2, 3], config, 75.0))
 
 
 def test_the_input_of_the_paper_is_three_channels_of_1536() -> None:

@@ -84,9 +84,9 @@ def test_absent_sheep_earn_nothing_although_they_stand_on_the_goal() -> None:
     for one_per_step in (False, True):
         config = RewardConfig(one_per_step=one_per_step)
         expected = reward_terms(state, config, 100)
-        got = reward_terms(padded(state, 5, 3), config, 100)
+        result = reward_terms(padded(state, 5, 3), config, 100)
         for name in expected:
-            assert_near(got[name], expected[name], 1e-12)
+            assert_near(result[name], expected[name], 1e-12)
 
 
 def test_rewards_of_a_batch_are_those_of_each_world() -> None:
@@ -125,7 +125,7 @@ def two_sheep_walk() -> list[WorldState]:
 
 
 def test_the_metrics_of_a_walk_into_the_goal_and_out_again_by_hand() -> None:
-    got, _ = tell(two_sheep_walk())
+    result, _ = tell(two_sheep_walk())
     expected = {
         'completion_time': 2,  # center 7, 4, 1, 4 m from the goal of 2 m
         'shepherd_path_length': (3 * 3 + 3 * 4) / 2,
@@ -140,29 +140,29 @@ def test_the_metrics_of_a_walk_into_the_goal_and_out_again_by_hand() -> None:
         'fraction_in_goal': 0,
         'goal_distance': 4,
     }
-    assert list(got) == list(METRICS) == list(expected)
+    assert list(result) == list(METRICS) == list(expected)
     for name, value in expected.items():
-        assert_near(got[name].double(), value, 1e-12)
+        assert_near(result[name].double(), value, 1e-12)
 
 
 def test_without_completion_the_time_is_that_of_the_whole_episode_and_paths_run_on() -> None:
-    got, _ = tell(two_sheep_walk()[:2], episode_steps=77)
-    assert got['completion_time'] == 77
-    assert got['completed'] == 0
-    assert got['fraction_reached'] == 0
-    assert_near(got['flock_path_to_completion'], 3, 1e-12)
-    assert_near(got['shepherd_path_to_completion'], 3.5, 1e-12)
+    result, _ = tell(two_sheep_walk()[:2], episode_steps=77)
+    assert result['completion_time'] == 77
+    assert result['completed'] == 0
+    assert result['fraction_reached'] == 0
+    assert_near(result['flock_path_to_completion'], 3, 1e-12)
+    assert_near(result['shepherd_path_to_completion'], 3.5, 1e-12)
 
 
 def test_a_flock_that_starts_in_the_goal_completes_at_step_zero() -> None:
     states = [state_of([[x, 0.0]], [[9.0, 0.0]], step=t) for t, x in enumerate([1.0, 6.0])]
-    got, _ = tell(states)
-    assert got['completion_time'] == 0
-    assert got['completed'] == 1
-    assert got['flock_path_to_completion'] == 0
-    assert_near(got['flock_path_length'], 5, 1e-12)
-    assert got['fraction_reached'] == 1
-    assert got['fraction_in_goal'] == 0
+    result, _ = tell(states)
+    assert result['completion_time'] == 0
+    assert result['completed'] == 1
+    assert result['flock_path_to_completion'] == 0
+    assert_near(result['flock_path_length'], 5, 1e-12)
+    assert result['fraction_reached'] == 1
+    assert result['fraction_in_goal'] == 0
 
 
 def test_the_spread_of_a_square_is_its_half_diagonal() -> None:
@@ -177,19 +177,19 @@ def test_the_mean_spread_is_over_steps_and_not_over_the_first_state() -> None:
         state_of([[30.0 + s, 0.0], [30.0 - s, 0.0]], [[9.0, 0.0]], step=t)
         for t, s in enumerate([100.0, 1.0, 3.0])
     ]
-    got, _ = tell(states)
-    assert_near(got['flock_spread'], 2.0, 1e-12)
-    assert_near(got['flock_spread_per_axis'], 1.0, 1e-12)
-    assert_near(got['flock_spread_at_completion'], 3.0, 1e-12)
+    result, _ = tell(states)
+    assert_near(result['flock_spread'], 2.0, 1e-12)
+    assert_near(result['flock_spread_per_axis'], 1.0, 1e-12)
+    assert_near(result['flock_spread_at_completion'], 3.0, 1e-12)
     first, _ = tell(states[:1])
     assert_near(first['flock_spread'], 100.0, 1e-12)
 
 
 def test_a_center_exactly_on_the_rim_is_in_the_goal() -> None:
-    got, _ = tell([state_of([[4.0, 0.0]], [[9.0, 0.0]])])
-    assert got['completed'] == 1
-    assert got['fraction_reached'] == 1
-    assert got['fraction_in_goal'] == 1
+    result, _ = tell([state_of([[4.0, 0.0]], [[9.0, 0.0]])])
+    assert result['completed'] == 1
+    assert result['fraction_reached'] == 1
+    assert result['fraction_in_goal'] == 1
 
 
 def test_each_place_shows_its_metrics_in_their_order() -> None:
@@ -244,10 +244,10 @@ def test_metrics_are_those_of_the_whole_trajectory() -> None:
         states = trajectory(seed, n, m, steps)
         expected = trajectory_metrics([World.of(s) for s in states], 500)
         assert set(expected) == set(METRICS)
-        got, _ = tell(states, 500)
+        result, _ = tell(states, 500)
         single, _ = tell([s.to(torch.float32) for s in states], 500)
         for name, value in expected.items():
-            assert_near(got[name].double(), value, 1e-7)
+            assert_near(result[name].double(), value, 1e-7)
             assert_near(single[name].double(), value, 1e-3)
 
 
@@ -261,9 +261,9 @@ def test_metrics_at_any_step_are_those_of_the_trajectory_up_to_it() -> None:
     states = trajectory(1, 5, 2, 12)
     for end in range(1, 13):
         expected = trajectory_metrics([World.of(s) for s in states[:end]], 500)
-        got, _ = tell(states[:end], 500)
+        result, _ = tell(states[:end], 500)
         for name, value in expected.items():
-            assert_near(got[name].double(), value, 1e-7)
+            assert_near(result[name].double(), value, 1e-7)
 
 
 def test_metrics_of_mixed_worlds_in_one_batch_are_those_of_each_alone() -> None:

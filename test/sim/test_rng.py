@@ -105,8 +105,8 @@ def test_the_streams_have_the_numbers_of_all_times() -> None:
 def test_bits_are_those_of_splitmix_in_unbounded_integers(
     seed: int, step: int, stream: Stream, index: int
 ) -> None:
-    got = random_bits(one(seed), one(step), stream, torch.tensor([index]))
-    assert int(got) == splitmix_bits(seed, step, int(stream), index)
+    result = random_bits(one(seed), one(step), stream, torch.tensor([index]))
+    assert int(result) == splitmix_bits(seed, step, int(stream), index)
 
 
 @pytest.mark.parametrize('seed', [LEAST, LEAST + 1, -1, 0, 1, MOST - 1, MOST])
@@ -153,10 +153,10 @@ def test_normal_numbers_have_the_moments_and_tails_of_a_normal_distribution() ->
 
 
 def test_directions_are_unit_vectors_all_round() -> None:
-    ways = many(direction)
-    assert_near(ways.norm(dim=-1), torch.ones(len(ways)), 1e-12)
-    assert ways.mean(dim=0).abs().max() < 0.02
-    angle = torch.atan2(ways[:, 1], ways[:, 0])
+    directions = many(direction)
+    assert_near(directions.norm(dim=-1), torch.ones(len(directions)), 1e-12)
+    assert directions.mean(dim=0).abs().max() < 0.02
+    angle = torch.atan2(directions[:, 1], directions[:, 0])
     share = torch.histc(angle, bins=16, min=-math.pi, max=math.pi) / len(angle)
     assert (share - 1 / 16).abs().max() < 0.005
 

@@ -1,4 +1,4 @@
-"""How episodes start, what is perceived of the world, and worlds as batches."""
+"""Starts of episodes, perception of the world, and worlds as batches."""
 
 from __future__ import annotations
 

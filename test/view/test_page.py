@@ -51,9 +51,9 @@ def test_the_data_come_back_to_within_half_of_what_they_are_rounded_to(tmp_path:
     assert_array_equal(unpacked(record['inGoal']), track.in_goal)
     assert_array_equal(unpacked(record['steps']), np.arange(40))
     assert record['goalRadius'] == 4.0
-    for told, (name, values) in zip(record['curves'], curves(track).items(), strict=True):
-        assert (told['name'], told['unit']) == (name.replace('_', ' '), UNITS.get(name, ''))
-        assert_array_equal(unpacked(told), values.astype(np.float32))
+    for output, (name, values) in zip(record['curves'], curves(track).items(), strict=True):
+        assert (output['name'], output['unit']) == (name.replace('_', ' '), UNITS.get(name, ''))
+        assert_array_equal(unpacked(output), values.astype(np.float32))
     lidar, seen = record['lidar'], unpacked(record['lidar'])
     assert_array_equal(np.isfinite(seen), np.isfinite(ranges))
     hit = np.isfinite(ranges)
@@ -134,9 +134,9 @@ def test_the_rays_of_a_track_are_shown_where_no_others_are_given(tmp_path: Path)
 def test_a_value_that_is_missing_stays_missing(tmp_path: Path) -> None:
     values = np.array([1.0, np.nan, 3.0])
     write_page(wandering(3, 1, 1), {'mine': values}, tmp_path / 'page.html')
-    told = record_of(tmp_path / 'page.html')['curves'][0]
-    assert_array_equal(unpacked(told), values)
-    assert told['unit'] == ''
+    output = record_of(tmp_path / 'page.html')['curves'][0]
+    assert_array_equal(unpacked(output), values)
+    assert output['unit'] == ''
 
 
 # ---- sizes ----
@@ -174,11 +174,11 @@ def test_fewer_steps_are_shown_of_a_long_episode(
     track, path = wandering(12, 4, 2), tmp_path / 'page.html'
     ranges = scans(track, 8)
     write_page(track, curves(track), path, ranges=ranges)
-    record, kept = record_of(path), [0, 3, 6, 9, 11]  # the last one is there
-    assert_array_equal(unpacked(record['steps']), kept)
-    assert_array_equal(unpacked(record['times']), track.times[kept])
-    assert_allclose(unpacked(record['sheep']), track.sheep[kept], atol=0.001)
-    assert_allclose(unpacked(record['lidar']), ranges[kept], atol=0.01)
+    record, stored = record_of(path), [0, 3, 6, 9, 11]  # the last one is there
+    assert_array_equal(unpacked(record['steps']), stored)
+    assert_array_equal(unpacked(record['times']), track.times[stored])
+    assert_allclose(unpacked(record['sheep']), track.sheep[stored], atol=0.001)
+    assert_allclose(unpacked(record['lidar']), ranges[stored], atol=0.01)
     assert unpacked(record['curves'][0]).shape == (5,)
     assert '1 in 3 steps is shown' in notes(path)
 

@@ -117,18 +117,18 @@ def test_all_is_painted_at_its_place(page: Reader, step: int) -> None:
 
 def test_the_lidar_of_one_shepherd_is_shown_and_channels_are_taken_away(page: Reader) -> None:
     ends = TRACK.shepherds[0, 2] + ENDS
-    whose = Select(page.find('#whose'))
-    assert [o.text for o in whose.options] == ['none', *(f'shepherd {h}' for h in range(3))]
+    menu = Select(page.find('#whose'))
+    assert [o.text for o in menu.options] == ['none', *(f'shepherd {h}' for h in range(3))]
     assert [page.color(end) for end in ends] == ['', '', '']  # the first one is chosen
-    whose.select_by_visible_text('shepherd 2')
+    menu.select_by_visible_text('shepherd 2')
     assert [page.color(end) for end in ends] == HITS
     boxes = page.driver.find_elements(By.CSS_SELECTOR, '#channels input')
     boxes[1].click()
     assert [page.color(end) for end in ends] == [HITS[0], '', HITS[2]]
     boxes[1].click()
-    whose.select_by_visible_text('none')
+    menu.select_by_visible_text('none')
     assert [page.color(end) for end in ends] == ['', '', '']
-    whose.select_by_visible_text('shepherd 0')
+    menu.select_by_visible_text('shepherd 0')
 
 
 def test_the_cursor_of_the_curves_moves_with_time(page: Reader) -> None:
@@ -138,8 +138,8 @@ def test_the_cursor_of_the_curves_moves_with_time(page: Reader) -> None:
     for step in (0, 100, LAST):
         page.go(step)
         lefts.append([c.rect['x'] for c in page.driver.find_elements(By.CSS_SELECTOR, '.cursor')])
-        told = [e.text for e in page.driver.find_elements(By.CSS_SELECTOR, '#panel h2 span')]
-        assert_allclose(np.array(told, float), [v[step] for v in values.values()], atol=0.0051)
+        output = [e.text for e in page.driver.find_elements(By.CSS_SELECTOR, '#panel h2 span')]
+        assert_allclose(np.array(output, float), [v[step] for v in values.values()], atol=0.0051)
     assert len(lefts[0]) == 3
     expected = left + width * np.array([0, 0.5, 1])
     assert_allclose(np.array(lefts).T, [expected] * 3, atol=2)

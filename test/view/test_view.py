@@ -97,12 +97,12 @@ def test_free_rays_are_no_lines() -> None:
 
 
 def test_the_trail_joins_each_position_to_the_next() -> None:
-    ways = np.array(
+    directions = np.array(
         [[[0.0, 0.0], [5.0, 5.0]], [[1.0, 0.0], [5.0, 6.0]]]
     )  # two steps, two shepherds
     expected = [[[0.0, 0.0], [1.0, 0.0]], [[5.0, 5.0], [5.0, 6.0]]]
-    assert_array_equal(trail_segments(ways), expected)
-    assert trail_segments(ways[:1]).shape == (0, 2, 2)
+    assert_array_equal(trail_segments(directions), expected)
+    assert trail_segments(directions[:1]).shape == (0, 2, 2)
 
 
 @pytest.mark.parametrize(
@@ -168,9 +168,9 @@ def test_the_picture_shows_where_sheep_and_shepherds_went(tmp_path: Path) -> Non
     pale = tuple(round(255 * c) for c in shade(0))
     assert image.getpixel(pixel(track, (7.0, 0.8), 2)) == pytest.approx(pale, abs=1)
     assert image.getpixel(pixel(track, (7.0, -6.0), 2)) == rgb(SHEEP_COLOR)
-    way = np.array(image.getpixel(pixel(track, (-4.9, 10.0), 2)))
+    direction = np.array(image.getpixel(pixel(track, (-4.9, 10.0), 2)))
     color = np.array(rgb(shepherd_color(0)))
-    assert np.linalg.norm(way - color) < 0.6 * np.linalg.norm(np.array(WHITE) - color)
+    assert np.linalg.norm(direction - color) < 0.6 * np.linalg.norm(np.array(WHITE) - color)
 
 
 @pytest.mark.parametrize('scale', [1, 2, 1.5])
@@ -220,9 +220,9 @@ def test_a_frame_shows_all_at_their_places_and_follows_the_data() -> None:
 def test_a_goal_that_moves_is_drawn_where_it_is() -> None:
     track = still(2, goal=np.array([[-3.0, 1.0], [1.0, -6.0]]))
     painter = Painter(track)
-    here, there = (pixel(track, place)[::-1] for place in track.goal)
-    assert tuple(painter.paint(0)[here]) == tuple(painter.paint(1)[there]) == rgb(GOAL_FILL)
-    assert tuple(painter.paint(0)[there]) == tuple(painter.paint(1)[here]) == WHITE
+    here, present = (pixel(track, place)[::-1] for place in track.goal)
+    assert tuple(painter.paint(0)[here]) == tuple(painter.paint(1)[present]) == rgb(GOAL_FILL)
+    assert tuple(painter.paint(0)[present]) == tuple(painter.paint(1)[here]) == WHITE
 
 
 def test_rays_are_drawn_to_their_ranges_and_no_farther() -> None:

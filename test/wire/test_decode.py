@@ -35,11 +35,11 @@ def test_poses() -> None:
         rng = np.random.default_rng(count)
         xy, bearing = rng.normal(size=(count, 2)), rng.uniform(-np.pi, np.pi, count)
         heading = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
-        got = decode_poses(poses(NS, xy, heading, frame_id))
-        assert (got.stamp_ns, got.frame_id) == (NS, frame_id)
-        assert got.xy.dtype == np.float64
-        assert np.array_equal(got.xy, xy)
-        assert np.allclose(got.heading, heading, atol=1e-14)
+        result = decode_poses(poses(NS, xy, heading, frame_id))
+        assert (result.stamp_ns, result.frame_id) == (NS, frame_id)
+        assert result.xy.dtype == np.float64
+        assert np.array_equal(result.xy, xy)
+        assert np.allclose(result.heading, heading, atol=1e-14)
 
 
 def test_scans() -> None:
@@ -47,18 +47,22 @@ def test_scans() -> None:
         ranges = np.random.default_rng(count).uniform(0, 40, count).astype(np.float32)
         ranges[::3] = np.inf
         ranges[1::5] = np.nan
-        got = decode_scan(scan_of(NS, ranges, frame_id))
-        assert (got.stamp_ns, got.frame_id, got.range_max) == (NS, frame_id, 40.0)
-        assert got.ranges.dtype == np.float32
-        assert np.array_equal(got.ranges, ranges, equal_nan=True)
-        assert math.isclose(got.angle_increment, 2 * math.pi / max(count, 1), rel_tol=1e-6)
+        result = decode_scan(scan_of(NS, ranges, frame_id))
+        assert (result.stamp_ns, result.frame_id, result.range_max) == (NS, frame_id, 40.0)
+        assert result.ranges.dtype == np.float32
+        assert np.array_equal(result.ranges, ranges, equal_nan=True)
+        assert math.isclose(result.angle_increment, 2 * math.pi / max(count, 1), rel_tol=1e-6)
 
 
 def test_vectors() -> None:
     for frame_id in FRAMES:
         stamped = cdr(make('TwistStamped', header=header(NS, frame_id), twist=twist(0.25, -3.5)))
-        got = decode_twist_stamped(stamped)
-        assert (got.stamp_ns, got.frame_id, got.xy.tolist()) == (NS, frame_id, [0.25, -3.5])
+        result = decode_twist_stamped(stamped)
+        assert (result.stamp_ns, result.frame_id, result.xy.tolist()) == (
+            NS,
+            frame_id,
+            [0.25, -3.5],
+        )
         plain = decode_twist(cdr(twist(0.25, -3.5)))
         assert (plain.stamp_ns, plain.xy.tolist()) == (None, [0.25, -3.5])
         goal = decode_pose_stamped(pose(NS, 1.5, 2.5))
@@ -100,16 +104,16 @@ def test_stamps_before_the_epoch_do_not_wrap() -> None:
 
 def test_every_message_of_the_recording_is_what_rosbags_says() -> None:
     for message in recording()[0]:
-        theirs = STORE.deserialize_cdr(message.data, message.type)
-        ours = DECODERS[message.type](message.data)
+        reference = STORE.deserialize_cdr(message.data, message.type)
+        own = DECODERS[message.type](message.data)
         if message.type.endswith('LaserScan'):
-            assert np.array_equal(ours.ranges, theirs.ranges)
+            assert np.array_equal(own.ranges, reference.ranges)
         elif message.type.endswith('PoseArray'):
-            assert ours.xy.tolist() == [[p.position.x, p.position.y] for p in theirs.poses]
+            assert own.xy.tolist() == [[p.position.x, p.position.y] for p in reference.poses]
         elif message.type.endswith('TwistStamped'):
-            assert ours.xy.tolist() == [theirs.twist.linear.x, theirs.twist.linear.y]
+            assert own.xy.tolist() == [reference.twist.linear.x, reference.twist.linear.y]
         elif message.type.endswith('String'):
-            assert ours == theirs.data
+            assert own == reference.data
 
 
 def test_big_endian_messages_are_read_too() -> None:

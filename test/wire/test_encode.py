@@ -1,4 +1,4 @@
-"""What is written is what rclpy writes, and what is read is what it reads."""
+"""Encoded messages are those of rclpy, and decoded ones are read as rclpy reads them."""
 
 from __future__ import annotations
 
@@ -101,23 +101,23 @@ def test_we_read_the_poses_that_rclpy_writes() -> None:
     for frame_id, count in product(FRAMES, COUNTS):
         position, heading = flock(count)
         raw = serialize_message(pose_array(position, heading, NS, frame_id))
-        ns, frame, read, way = decode_poses(raw)
+        ns, frame, read, direction = decode_poses(raw)
         assert (ns, frame) == (NS, frame_id)
-        assert read.shape == way.shape == (count, 2)
+        assert read.shape == direction.shape == (count, 2)
         assert torch.equal(read, position)
-        assert torch.allclose(way, heading, rtol=0, atol=1e-6)
+        assert torch.allclose(direction, heading, rtol=0, atol=1e-6)
 
 
 def test_our_bytes_are_those_of_rclpy_apart_from_padding() -> None:
     for count in [0, 1, 3]:
         position, heading = flock(count)
         for frame_id in FRAMES:
-            ours = encode_poses(NS, frame_id, position, heading)
+            own = encode_poses(NS, frame_id, position, heading)
             message = pose_array(position, heading, NS, frame_id)
-            theirs = serialize_message(message)
-            assert len(ours) - len(theirs) in ({0, 4} if count == 0 else {0}), frame_id
-            assert ours[: 16 + len(frame_id.encode())] == theirs[: 16 + len(frame_id.encode())]
-            assert ours[len(ours) - 56 * count :] == theirs[len(theirs) - 56 * count :]
+            reference = serialize_message(message)
+            assert len(own) - len(reference) in ({0, 4} if count == 0 else {0}), frame_id
+            assert own[: 16 + len(frame_id.encode())] == reference[: 16 + len(frame_id.encode())]
+            assert own[len(own) - 56 * count :] == reference[len(reference) - 56 * count :]
 
 
 def test_poses_of_a_big_endian_machine_are_read_too() -> None:
@@ -143,10 +143,12 @@ def test_positions_come_back_exactly_and_headings_to_a_millionth(
 ) -> None:
     position = torch.tensor(points, dtype=torch.float32).reshape(-1, 2)
     heading = from_bearing(torch.full((len(points),), angle))
-    read_ns, read_frame, read, way = decode_poses(encode_poses(ns, frame_id, position, heading))
+    read_ns, read_frame, read, direction = decode_poses(
+        encode_poses(ns, frame_id, position, heading)
+    )
     assert (read_ns, read_frame) == (ns, frame_id)
     assert torch.equal(read, position)
-    assert torch.allclose(way, heading, rtol=0, atol=1e-6)
+    assert torch.allclose(direction, heading, rtol=0, atol=1e-6)
 
 
 def test_a_shepherd_that_stands_has_yaw_zero() -> None:
