@@ -156,8 +156,8 @@ class Actor(nn.Module):
 
     def _of_mode(self, out: Tensor, hold: Tensor) -> Tensor:
         """Return the outputs (B, width) of the mode."""
-        drive, kept = out[:, : self.width], out[:, self.width : 2 * self.width]
-        return torch.where(hold[:, None], kept, drive)
+        drive, held = out[:, : self.width], out[:, self.width : 2 * self.width]
+        return torch.where(hold[:, None], held, drive)
 
 
 class Critic(nn.Module):

@@ -62,8 +62,8 @@ def test_an_action_is_that_of_the_mode_that_the_gate_chooses(std_type: str) -> N
         hold = gate > 0
         assert 0 < hold.sum() < 64
         for mode in (False, True):
-            mine = torch.full((64,), mode)
-            of_mode = actor(x, mine)
+            own = torch.full((64,), mode)
+            of_mode = actor(x, own)
             assert torch.equal(mean[hold == mode], of_mode[0][hold == mode])
             assert torch.equal(std[hold == mode], of_mode[1][hold == mode])
         width = 4 if std_type == 'state' else 2
@@ -165,8 +165,8 @@ def test_lessons_carry_the_turn_of_the_teacher_and_the_weight_of_a_team() -> Non
         law = make_controller('composite', lesson.group.moment.config.world, home_within=0.5)
         command, memory = law.act(state, law.begin(state))
         count = int(state.shepherd_mask.sum())
-        got = rotate_by_ray(examples.wanted[:count], examples.first[:count], 96)
-        torch.testing.assert_close(got, command[state.shepherd_mask], atol=1e-5, rtol=0)
+        result = rotate_by_ray(examples.wanted[:count], examples.first[:count], 96)
+        torch.testing.assert_close(result, command[state.shepherd_mask], atol=1e-5, rtol=0)
         rows = state.shepherd_mask.nonzero()[:, 0]
         assert torch.equal(examples.hold[:count], memory[HOME][rows])
         weight = 1.0 / state.team_size[rows].float() ** 2
