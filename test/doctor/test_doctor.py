@@ -132,7 +132,7 @@ def test_domains(domain: str, level: str, tmp_path: Path, monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize(
-    ('output', 'peers', 'level'),
+    ('chosen', 'peers', 'level'),
     [
         ('', '', 'ok'),
         ('LOCALHOST', '', 'ok'),
@@ -142,9 +142,9 @@ def test_domains(domain: str, level: str, tmp_path: Path, monkeypatch: pytest.Mo
     ],
 )
 def test_discovery_ranges(
-    output: str, peers: str, level: str, monkeypatch: pytest.MonkeyPatch
+    chosen: str, peers: str, level: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', output)
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', chosen)
     monkeypatch.setenv('ROS_STATIC_PEERS', peers)
     assert only(dds_settings.check_discovery_range).level == level
 
