@@ -50,8 +50,8 @@ class Timing:
         if self.n_frames > 1:
             pairs.append(('sees frames', self.frame_interval, self.asked_frame))
         changes = [
-            f'{what} {used:.4g} s{" apart" * (what != "decides every")} instead of {asked:.4g} s'
-            for what, used, asked in pairs
-            if abs(used - asked) > TOLERANCE * asked
+            f'{what} {used:.4g} s{" apart" * (what != "decides every")} instead of {wanted:.4g} s'
+            for what, used, wanted in pairs
+            if abs(used - wanted) > TOLERANCE * wanted
         ]
         return ', '.join(changes) + f', as a step takes {self.dt:g} s' if changes else ''

@@ -26,9 +26,9 @@ def test_a_pipe_gets_a_line_now_and_then(
         for done in range(200):
             now = done * 0.5  # [s], 100 in all
             show(done, text=f'at {done}')
-    said = capsys.readouterr()
-    assert said.out == ''
-    assert said.err == 'counting: 30% at 60\ncounting: 60% at 120\ncounting: 90% at 180\n'
+    printed = capsys.readouterr()
+    assert printed.out == ''
+    assert printed.err == 'counting: 30% at 60\ncounting: 60% at 120\ncounting: 90% at 180\n'
 
 
 def test_a_terminal_gets_a_bar_that_leaves_stdout_alone(
@@ -40,10 +40,10 @@ def test_a_terminal_gets_a_bar_that_leaves_stdout_alone(
     with progress('counting', 4) as show:
         print('a result')
         show(3, text='of four')
-    said = capsys.readouterr()
-    assert said.out == 'a result\n'
-    assert 'counting of four' in said.err
-    assert '75%' in said.err
+    printed = capsys.readouterr()
+    assert printed.out == 'a result\n'
+    assert 'counting of four' in printed.err
+    assert '75%' in printed.err
     with progress('counting', 4, quiet=True) as show:
         show(3)
     assert capsys.readouterr().err == ''
@@ -65,16 +65,16 @@ def test_reading_goes_from_the_start_of_a_bag_to_its_end(
 
 def test_data_sets_tell_which_bag_is_next(tmp_path: Path) -> None:
     bags = [tiny_bag(tmp_path / name) for name in 'abc']
-    told: list[tuple[int, int]] = []
+    output: list[tuple[int, int]] = []
     frames = ObservationConfig(n_frames=2, frame_interval=0.5)
-    count_examples(bags, frames, on_bag=lambda done, total: told.append((done, total)))
-    assert told == [(0, 3), (1, 3), (2, 3)]
+    count_examples(bags, frames, on_bag=lambda done, total: output.append((done, total)))
+    assert output == [(0, 3), (1, 3), (2, 3)]
 
 
 def test_recovering_tells_how_many_messages_it_has(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr('shepherd_ros.recordings.recording_writer.PROGRESS_STEP', 50)
-    told: list[int] = []
-    recover_recording(tiny_bag(tmp_path / 'bag'), on_progress=told.append)
-    assert told == list(range(50, len(recording()[0]) + 1, 50))
+    output: list[int] = []
+    recover_recording(tiny_bag(tmp_path / 'bag'), on_progress=output.append)
+    assert output == list(range(50, len(recording()[0]) + 1, 50))

@@ -162,8 +162,8 @@ def test_a_spread_of_samples_is_part_of_a_policys_name_and_of_its_rows() -> None
         make_method('policy:general@-1', Setting())
     mean, drawn = (run_cell(Cell(TINY, f'policy:imitation{x}', 0, 1)) for x in ('', '@0.3'))
     assert drawn['controller'].to_pylist() == ['policy:imitation@0.3']
-    told = json.loads(drawn['config'][0].as_py())['controller']
-    assert (told['checkpoint'], told['sample_std']) == ('imitation', 0.3)
+    stored = json.loads(drawn['config'][0].as_py())['controller']
+    assert (stored['checkpoint'], stored['sample_std']) == ('imitation', 0.3)
     assert drawn['key'] != mean['key']
     assert drawn['shepherd_path_length'] != mean['shepherd_path_length']
     again = run_cell(Cell(TINY, 'policy:imitation@0.3', 0, 1))

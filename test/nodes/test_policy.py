@@ -101,7 +101,7 @@ class Answers:
 
     def __init__(self, graph: Graph, checkpoint: str, world: dict[str, Any], **parameters: Any):
         """Start a simulator for one shepherd, which nobody lets move, and the node."""
-        self.heard: list[TwistStamped] = graph.collect('shepherd_0/cmd_vel', TwistStamped)
+        self.received: list[TwistStamped] = graph.collect('shepherd_0/cmd_vel', TwistStamped)
         graph.host('policy', checkpoint=checkpoint, **parameters)
         graph.host('flock_sim', n_shepherds=1, **world)
         self.outputs = [
@@ -120,7 +120,7 @@ class Answers:
 
     def speeds(self) -> list[float]:
         """Return the speeds that were commanded so far."""
-        return [math.hypot(m.twist.linear.x, m.twist.linear.y) for m in self.heard]
+        return [math.hypot(m.twist.linear.x, m.twist.linear.y) for m in self.received]
 
 
 GOOD = [math.inf] * 100 + [12.0] * 30 + [math.inf] * 382
@@ -144,20 +144,24 @@ def test_a_scan_that_is_missing_nan_or_of_another_lidar_stops_the_shepherd(
         ns = start + k * 500_000_000
         answers.scan(ns, 0, GOOD)
         # the first scan of a stamp ends the wait for the one before
-        graph.until(lambda k=k: len(answers.heard) == k, 'an answer to the stamp before')
+        graph.until(lambda k=k: len(answers.received) == k, 'an answer to the stamp before')
         answers.scan(ns, 1, GOOD)
         answers.scan(ns, 2, ranges, range_max)
         if fit:
-            graph.until(lambda k=k: len(answers.heard) == k + 1, 'an answer')
+            graph.until(lambda k=k: len(answers.received) == k + 1, 'an answer')
         graph.idle(0.2)
-    stamps = [nanoseconds(m.header.stamp) for m in answers.heard]
+    stamps = [nanoseconds(m.header.stamp) for m in answers.received]
     assert stamps == [start + k * 500_000_000 for k in range(len(cases))]
     for speed, (_, _, fit) in zip(answers.speeds(), cases, strict=True):
         assert (speed > 0.01) == fit, answers.speeds()
     status = graph.until_status('policy', 'missing or not fit')
-    told = {value.key: value.value for value in status.values}
-    assert (told['scans_nan'], told['scans_contract'], told['scans_missing']) == ('1', '2', '3')
-    assert float(told['latency_ms_p99']) >= float(told['latency_ms_median']) > 0
+    output = {value.key: value.value for value in status.values}
+    assert (output['scans_nan'], output['scans_contract'], output['scans_missing']) == (
+        '1',
+        '2',
+        '3',
+    )
+    assert float(output['latency_ms_p99']) >= float(output['latency_ms_median']) > 0
     assert graph.warnings(r'256 rays, expected 512') or graph.warnings('NaN')
 
 
@@ -178,7 +182,7 @@ def test_in_real_time_decisions_are_a_second_apart_though_scans_are_lost(
         ranges = [math.inf] * 100 + [12.0 - k] * 30 + [math.inf] * 382
         for channel in range(3):
             answers.scan(round(step * dt * 1e9), channel, ranges)
-        graph.until(lambda k=k: len(answers.heard) == k + 1, 'an answer')
+        graph.until(lambda k=k: len(answers.received) == k + 1, 'an answer')
         seen = torch.tensor(ranges).expand(1, 3, 512)
         if step in deciding:
             memory['count'].fill_(deciding.index(step) * second)
@@ -186,9 +190,9 @@ def test_in_real_time_decisions_are_a_second_apart_though_scans_are_lost(
                 policy, timing, lambda seen=seen: seen, present, memory, 1.0
             )
         expected.append(command[0].tolist())
-    got = [[m.twist.linear.x, m.twist.linear.y] for m in answers.heard]
-    assert got == expected
-    assert len({tuple(command) for command in got}) == len(deciding)
+    result = [[m.twist.linear.x, m.twist.linear.y] for m in answers.received]
+    assert result == expected
+    assert len({tuple(command) for command in result}) == len(deciding)
 
 
 def test_times_that_a_step_cannot_keep_are_logged_once(graph: Graph, checkpoint: str) -> None:
@@ -196,9 +200,9 @@ def test_times_that_a_step_cannot_keep_are_logged_once(graph: Graph, checkpoint:
     answers = Answers(graph, checkpoint, {'dt': 0.3})
     for channel in range(3):
         answers.scan(300_000_000, channel, GOOD)
-    graph.until(lambda: answers.heard, 'an answer')
-    told = 'decides every 0.9 s instead of 1 s, sees frames 1.8 s apart instead of 2 s'
-    assert len(graph.warnings(told)) == 1
+    graph.until(lambda: answers.received, 'an answer')
+    output = 'decides every 0.9 s instead of 1 s, sees frames 1.8 s apart instead of 2 s'
+    assert len(graph.warnings(output)) == 1
     status = graph.until_status('policy', '')
     assert {v.key: v.value for v in status.values}['decision_interval'] == '0.9'
 
@@ -210,7 +214,7 @@ def test_in_real_time_the_shepherds_stop_when_their_scans_do(
     answers = Answers(graph, checkpoint, world, stale_after=0.5)
     for channel in range(3):
         answers.scan(500_000_000, channel, GOOD)
-    graph.until(lambda: len(answers.heard) == 2, 'an answer and a stop')
+    graph.until(lambda: len(answers.received) == 2, 'an answer and a stop')
     assert answers.speeds()[0] > 0.01
     assert answers.speeds()[1] == 0.0
     graph.until_status('policy', 'scans have stopped')
