@@ -1,12 +1,13 @@
-"""Evaluation of a policy in training: whole episodes by its mean action, from fixed starts."""
+"""Evaluation of a policy in training: whole episodes from fixed starts, and a score of them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import product
 import math
 
-from shepherd_ros.config import Config, option
+from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.controllers.policy_controller import LearnedConfig, LearnedController
 from shepherd_ros.experiments.runner import run_episodes
 from shepherd_ros.learning.task import base_world, TaskConfig
@@ -16,6 +17,8 @@ from shepherd_ros.sim.rollout import EnvConfig
 import torch
 
 VALIDATION_SEED = 900_000_000  # far from those of tables; those of training are mixed, and higher
+
+TIME_95 = 'completion_time_95'
 
 
 @dataclass(frozen=True)
@@ -29,7 +32,51 @@ class EvaluationConfig(Config):
         'noise on perceived positions in half of these episodes [m]; 0: in none',
         low=0.0,
     )
+    eval_sheep: str = option(
+        '', 'sizes of their flocks, such as 20,100,200; empty: as sheep_scale of the task has it'
+    )
+    eval_shepherds: str = option(
+        '', 'sizes of their teams, such as 1,3,6; empty: evenly drawn from those of the task'
+    )
+    eval_sampled: bool = option(
+        False, 'half of these episodes by sampled actions; false: all by the mean action'
+    )
+    return_weight: float = option(1.0, 'weight of a tenth of the return in the score')
+    goal_weight: float = option(1.0, 'weight of the share in the goal at the end in the score')
+    time_weight: float = option(
+        0.0,
+        'what the 95th percentile of the time until completion takes off the score, the whole '
+        'episode as 1',
+        low=0.0,
+    )
+    path_weight: float = option(0.0, "what 100 m of a shepherd's way take off the score", low=0.0)
     keep_evaluated: bool = option(False, 'keep the policy of each evaluation, not only the best')
+
+    def __post_init__(self) -> None:
+        """Check each field and the lists of sizes."""
+        super().__post_init__()
+        for name in ('eval_sheep', 'eval_shepherds'):
+            self.sizes(name)
+
+    def sizes(self, name: str) -> list[int]:
+        """Return the sizes that an option lists, or raise ConfigError."""
+        words = [word.strip() for word in str(getattr(self, name)).split(',') if word.strip()]
+        if not all(word.isascii() and word.isdecimal() and int(word) for word in words):
+            raise ConfigError(
+                f'{name} is {getattr(self, name)!r}: expected numbers from 1 with commas between '
+                'them, such as 1,3,6'
+            )
+        return [int(word) for word in words]
+
+    def score(self, results: Mapping[str, float]) -> float:
+        """Return what policies are compared by, from the results of an evaluation."""
+        gained = (
+            self.return_weight * (results['return'] / 10)
+            + self.goal_weight * results['fraction_in_goal']
+        )
+        time = results[TIME_95] / self.eval_steps
+        path = results['shepherd_path_length'] / 100
+        return gained - self.time_weight * time - self.path_weight * path
 
 
 def validation_sizes(task: TaskConfig) -> list[int]:
@@ -44,30 +91,38 @@ def validate(
     policy: Policy, task: TaskConfig, evaluation: EvaluationConfig, dtype: torch.dtype
 ) -> dict[str, float]:
     """
-    Return means over episodes with 1 to 6 shepherds and the smallest goal of a task.
+    Return means over episodes with the teams and the smallest goal of a task.
 
-    `score` is what checkpoints are chosen by: the return, and the fraction in the goal at the end.
+    Each combination of flock model, size, team, noise and way of acting has as many of them.
+    `score` is what checkpoints are chosen by; completion_time_95 is the 95th percentile, in which
+    an episode that never completes counts as long as it is.
     """
-    sizes = validation_sizes(task)
+    sizes = evaluation.sizes('eval_sheep') or validation_sizes(task)
+    teams = evaluation.sizes('eval_shepherds') or [0]
     noises = (0.0, evaluation.eval_noise) if evaluation.eval_noise else (0.0,)
-    cells = list(product(task.flocks, sizes, noises))
+    ways = (False, True) if evaluation.eval_sampled else (False,)
+    cells = list(product(task.flocks, sizes, teams, noises, ways))
     count, results = max(evaluation.eval_episodes // len(cells), 1), []
-    for flock, sheep, noise in cells:
+    for flock, sheep, team, noise, sampled in cells:
         world = base_world(task, flock)
+        if team:
+            spawn = replace(world.spawn, fewest_shepherds=0)
+            world = replace(world, spawn=spawn, n_shepherds=team)
         world = replace(
             world,
             n_sheep=sheep,
             episode_steps=evaluation.eval_steps,
             spawn=replace(world.spawn, goal_radius_extra=0.0),
         )
-        controller = LearnedController(LearnedConfig(), world, policy, dtype)
+        controller = LearnedController(LearnedConfig(sample=sampled), world, policy, dtype)
         config, device = (
             EnvConfig(noise_std=noise, world=world, reward=task.reward),
             str(policy.device),
         )
         results.append(run_episodes(config, controller, VALIDATION_SEED, count, device=device))
-    means = {
-        name: float(torch.cat([result[name] for result in results]).mean())
-        for name in ('return', *(metric.name for metric in shown('eval')))
-    }
-    return means | {'score': means['return'] / 10 + means['fraction_in_goal']}
+    names = ('return', *(metric.name for metric in shown('eval')))
+    whole = {name: torch.cat([result[name] for result in results]) for name in names}
+    means = {name: float(values.mean()) for name, values in whole.items()}
+    times = torch.cat([result['completion_time'] for result in results])
+    means[TIME_95] = float(times.float().quantile(0.95))
+    return means | {'score': evaluation.score(means)}
