@@ -19,7 +19,7 @@ from shepherd_ros.sim.world import WorldConfig
 import torch
 from torch import Tensor
 
-PARTS = ('drive', 'hold')
+ROLES = ('drive', 'hold')
 HOME = 'home'  # in the memory: whether the flock is home, (...) bool
 WORD = 'composite:DRIVE,HOLD or composite:DRIVE,HOLD,HOME_WITHIN,AWAY_BEYOND'
 
@@ -45,7 +45,7 @@ class CompositeConfig(Config):
                 f'home_within is {self.home_within}: expected at most away_beyond, '
                 f'{self.away_beyond}'
             )
-        for name in PARTS:
+        for name in ROLES:
             word = getattr(self, name)
             if word.partition(':')[0] == CompositeController.name:
                 raise ConfigError(f'{name} is {word!r}: expected one that is not composite')
@@ -90,7 +90,7 @@ class CompositeController(Controller):
     @classmethod
     def options_of(cls, text: str) -> dict[str, Any]:
         """Return the options of DRIVE,HOLD with or without the two distances."""
-        names = (*PARTS, 'home_within', 'away_beyond')
+        names = (*ROLES, 'home_within', 'away_beyond')
         values = text.split(',')
         if len(values) not in (2, 4) or not all(values):
             raise ConfigError(f'controller is {f"{cls.name}:{text}"!r}: expected {WORD}')

@@ -10,7 +10,7 @@ from typing import Any
 
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import CONTROLLERS, make_controller
-from shepherd_ros.controllers.composite import CompositeConfig, CompositeController, PARTS
+from shepherd_ros.controllers.composite import CompositeConfig, CompositeController, ROLES
 from shepherd_ros.controllers.controller import Controller
 from shepherd_ros.controllers.policy_controller import LearnedConfig, LearnedController
 from shepherd_ros.experiments.setting import env_config, Setting
@@ -51,7 +51,7 @@ def full_name(word: str) -> str:
 def _parts(kind: str, options: Mapping[str, Any]) -> list[str]:
     """Return the names of the controllers that the options of a composite name."""
     is_composite = kind == CompositeController.name
-    return [options[key] for key in PARTS if key in options] if is_composite else []
+    return [options[key] for key in ROLES if key in options] if is_composite else []
 
 
 def checkpoint_of(name: str) -> str:
@@ -161,7 +161,7 @@ def method_in(config: EnvConfig, name: str, preset: str = 'default') -> Controll
         if kind != CompositeController.name:
             return make_controller(kind, config.world, **options)
         chosen = CompositeConfig(**options)
-        parts = (full_name(getattr(chosen, part)) for part in PARTS)
+        parts = (full_name(getattr(chosen, part)) for part in ROLES)
         made = (method_in(config, part, preset) for part in parts)
         return CompositeController(chosen, config.world, *made)
     policy = loaded(checkpoint)

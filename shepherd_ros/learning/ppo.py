@@ -179,7 +179,7 @@ class PPOLearner:
             share = len(chosen) / total(len(chosen))  # of the samples of this step
             rows = batch.rows[chosen]
             x = store.inputs(rows, batch.first[chosen]) if actor or not self.on_state else None
-            if actor:
+            if actor and x is not None:
                 actor = self._actor_step(x, batch, chosen, advantage[chosen], share, scalars)
             value = self.critic_network(store.features_at(rows) if self.on_state else x)
             error = (value - target[chosen]).square().mean()
@@ -212,7 +212,7 @@ class PPOLearner:
 
     def _actor_step(
         self,
-        x: Tensor | None,
+        x: Tensor,
         batch: Batch,
         chosen: Tensor,
         advantage: Tensor,
