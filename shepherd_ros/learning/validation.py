@@ -38,8 +38,12 @@ class EvaluationConfig(Config):
     eval_shepherds: str = option(
         '', 'sizes of their teams, such as 1,3,6; empty: evenly drawn from those of the task'
     )
-    eval_sampled: bool = option(
-        False, 'half of these episodes by sampled actions; false: all by the mean action'
+    eval_sample_std: float = option(
+        0.0,
+        'half of these episodes by samples with this standard deviation about the mean [m/s]; '
+        '0: all by the mean',
+        low=0.0,
+        high=10.0,
     )
     return_weight: float = option(1.0, 'weight of a tenth of the return in the score')
     goal_weight: float = option(1.0, 'weight of the share in the goal at the end in the score')
@@ -100,10 +104,10 @@ def validate(
     sizes = evaluation.sizes('eval_sheep') or validation_sizes(task)
     teams = evaluation.sizes('eval_shepherds') or [0]
     noises = (0.0, evaluation.eval_noise) if evaluation.eval_noise else (0.0,)
-    ways = (False, True) if evaluation.eval_sampled else (False,)
-    cells = list(product(task.flocks, sizes, teams, noises, ways))
+    spreads = (0.0, evaluation.eval_sample_std) if evaluation.eval_sample_std else (0.0,)
+    cells = list(product(task.flocks, sizes, teams, noises, spreads))
     count, results = max(evaluation.eval_episodes // len(cells), 1), []
-    for flock, sheep, team, noise, sampled in cells:
+    for flock, sheep, team, noise, std in cells:
         world = base_world(task, flock)
         if team:
             spawn = replace(world.spawn, fewest_shepherds=0)
@@ -114,7 +118,7 @@ def validate(
             episode_steps=evaluation.eval_steps,
             spawn=replace(world.spawn, goal_radius_extra=0.0),
         )
-        controller = LearnedController(LearnedConfig(sample=sampled), world, policy, dtype)
+        controller = LearnedController(LearnedConfig(sample_std=std), world, policy, dtype)
         config, device = (
             EnvConfig(noise_std=noise, world=world, reward=task.reward),
             str(policy.device),

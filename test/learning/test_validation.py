@@ -42,7 +42,7 @@ def test_sizes_teams_and_ways_of_acting_are_cells_of_their_own() -> None:
     network = NetworkConfig(filters_1=2, filters_2=2, hidden=4)
     policy = Policy(PolicyConfig(lidar=LidarConfig(n_rays=64), network=network))
     task = TaskConfig(shepherds_min=1, shepherds_max=4)
-    usual = {'eval_steps': 5, 'eval_sampled': True}
+    usual = {'eval_steps': 5, 'eval_sample_std': 0.6}
     evaluation = EvaluationConfig(24, eval_sheep='4,9', eval_shepherds='1, 3', **usual)
     whole = validate(policy, task, evaluation, torch.float32)
     parts = [
@@ -56,7 +56,7 @@ def test_sizes_teams_and_ways_of_acting_are_cells_of_their_own() -> None:
     assert len({part['return'] for part in parts}) == 4
     for name in ('return', 'shepherd_path_length', 'fraction_in_goal'):
         assert whole[name] == pytest.approx(sum(part[name] for part in parts) / 4, rel=1e-5)
-    means = replace(evaluation, eval_episodes=12, eval_sampled=False)
+    means = replace(evaluation, eval_episodes=12, eval_sample_std=0.0)
     paths = [validate(policy, task, e, torch.float32) for e in (evaluation, means)]
     assert paths[0]['shepherd_path_length'] > 1.5 * paths[1]['shepherd_path_length']
 
