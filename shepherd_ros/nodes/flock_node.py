@@ -113,6 +113,7 @@ class FlockSim(ShepherdNode):
             world=self.world.to_dict(),
         )
         self.flock_commands.begin(self.episode)
+        self.output.expect_goal(self.world.goal_speed > 0)
         self.output.episode(self.now_ns, self.episode, self.state)
         self.get_logger().info(
             f'episode {self.number}: seed {seed}, {self.world.n_sheep} sheep, {team} shepherds, '

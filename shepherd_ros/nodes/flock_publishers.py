@@ -8,9 +8,23 @@ from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.ros.transforms import TransformOutput
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import unit
-from shepherd_ros.wire.encode import encode_clock, encode_goal, encode_poses, encode_text
+from shepherd_ros.wire.encode import (
+    encode_clock,
+    encode_goal,
+    encode_goal_poses,
+    encode_poses,
+    encode_text,
+)
 from shepherd_ros.wire.episode import Episode
-from shepherd_ros.wire.topics import CLOCK, EPISODE, GOAL, SHEEP_POSES, SHEPHERD_POSES
+from shepherd_ros.wire.topics import (
+    CLOCK,
+    EPISODE,
+    GOAL,
+    GOAL_POSES,
+    SHEEP_POSES,
+    SHEPHERD_POSES,
+)
+import torch
 
 MARKER_PERIOD = 0.05  # [s] wall time between two pictures
 POSES = (SHEEP_POSES, SHEPHERD_POSES)
@@ -29,6 +43,13 @@ class WorldOutput:
         self.outputs = {name: node.advertise(name) for name in TOPICS if name != CLOCK or clock}
         self.transforms = TransformOutput(node)
         self.last_markers = 0.0
+        self.goal_moves = False
+
+    def expect_goal(self, moves: bool) -> None:
+        """Publish the goal with each state of the next episode, or only once."""
+        self.goal_moves = moves
+        if moves and GOAL_POSES not in self.outputs:
+            self.outputs[GOAL_POSES] = self.node.advertise(GOAL_POSES)
 
     def episode(self, ns: int, episode: Episode, state: WorldState, seconds: float = 0.2) -> None:
         """Publish the latched topics, and wait until all readers have them, at most `seconds`."""
@@ -46,6 +67,11 @@ class WorldOutput:
         frame, heading = self.node.frame_id, unit(state.shepherds - before.shepherds)
         if CLOCK in self.outputs:
             self.outputs[CLOCK].publish(encode_clock(ns))
+        if self.goal_moves:
+            goal, destination = state.goal.numpy(), state.destination.numpy()
+            self.outputs[GOAL_POSES].publish(encode_goal_poses(ns, frame, goal, destination))
+            if not torch.equal(state.goal, before.goal):
+                self.goal(ns, state)
         self.outputs[SHEPHERD_POSES].publish(
             encode_poses(ns, frame, state.shepherds.numpy(), heading.numpy())
         )

@@ -26,7 +26,8 @@ from shepherd_ros.wire.contract import (
     known_text,
     topic_hashes,
 )
-from shepherd_ros.wire.topics import COMMANDS, SHEEP_POSES, SHEPHERD, SHEPHERD_POSES
+from shepherd_ros.wire.episode import Episode
+from shepherd_ros.wire.topics import COMMANDS, GOAL_POSES, SHEEP_POSES, SHEPHERD, SHEPHERD_POSES
 
 PARTS = ('scans', 'commands')
 
@@ -144,17 +145,19 @@ class _Expected:
     scanned: dict[int, tuple[str, ...]]  # channels of shepherds with a lidar
     commanded: bool
 
-    def missing(self, state: RecordedState, n_shepherds: int, answered: bool) -> Iterator[str]:
+    def missing(self, state: RecordedState, info: Episode, answered: bool) -> Iterator[str]:
         """Yield the topics that a state lacks; answered: commands count too."""
         if state.sheep is None:
             yield f'{self.namespace}/{SHEEP_POSES}'
         if state.shepherds is None:
             yield f'{self.namespace}/{SHEPHERD_POSES}'
-        for h in range(n_shepherds):
+        if state.goal is None and info.goal_moves:
+            yield f'{self.namespace}/{GOAL_POSES}'
+        for h in range(info.n_shepherds):
             for channel in self.scanned.get(h, ()):
                 if (h, channel) not in state.scans:
                     yield f'{self.namespace}/{SCANS.format(h=h)}{channel}'
-        for h in range(n_shepherds if self.commanded and answered else 0):
+        for h in range(info.n_shepherds if self.commanded and answered else 0):
             if h not in state.commands:
                 yield f'{self.namespace}/{COMMANDS.format(h=h)}'
 
@@ -164,7 +167,7 @@ def _first_whole(group: RecordedGroup, expected: _Expected) -> int:
     steps = () if 0 in group.states else range(group.last_step + 1)
     for step in steps:
         state = group.states.get(step, RecordedState())
-        if not any(expected.missing(state, group.info.n_shepherds, step < group.last_step)):
+        if not any(expected.missing(state, group.info, step < group.last_step)):
             return step
     return 0
 
@@ -183,7 +186,7 @@ def _check_group(
     final = group.states.get(last, RecordedState())
     complete = last == info.episode_steps
     if following is None:  # the recording may have ended within a state
-        complete = complete and not any(expected.missing(final, info.n_shepherds, answered=False))
+        complete = complete and not any(expected.missing(final, info, answered=False))
     # a world that was told to begin anew goes on with the next stamp
     regular = (
         following is None or following.info.start_ns == info.start_ns + (last + 1) * info.dt_ns
@@ -206,7 +209,7 @@ def _check_group(
         stamp_ns = info.start_ns + step * info.dt_ns
         place = info.number, step, stamp_ns
         if step >= begin and (step < last or complete or not regular):
-            for topic in expected.missing(state, info.n_shepherds, step < last):
+            for topic in expected.missing(state, info, step < last):
                 result.add(Finding('gap', 'missing', *place, topic))
         result.add(*_counts(group, state, place))
         if len(result.findings) == MAX_FINDINGS:

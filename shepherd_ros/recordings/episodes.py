@@ -36,6 +36,7 @@ class Frame:
     commands: list[Floats | None]  # for each shepherd (2,) m/s
     lidars: frozenset[tuple[float, float]] = frozenset()  # range_max m, angle_min rad of scans
     drivers: tuple[str | None, ...] = ()  # source of each command, () if nobody said
+    destination: Floats | None = None  # (2,) m, None if the goal stands
 
 
 @dataclass(frozen=True)
@@ -97,6 +98,9 @@ def episode_of(bag: Bag, group: RecordedGroup) -> RecordedEpisode:
                 'record one world at a time',
             )
         index = bisect_right(goal_stamps, stamp_ns)
+        goal, destination = (goals[index - 1][1] if index else None), None
+        if state.goal is not None and len(state.goal.xy) == 2:
+            goal, destination = state.goal.xy
         frames.append(
             Frame(
                 stamp_ns=stamp_ns,
@@ -105,11 +109,12 @@ def episode_of(bag: Bag, group: RecordedGroup) -> RecordedEpisode:
                 sheep_heading=state.sheep.heading,
                 shepherds=state.shepherds.xy,
                 shepherd_heading=state.shepherds.heading,
-                goal=goals[index - 1][1] if index else None,
+                goal=goal,
                 scans=[_scan(bag, group, step, state, h) for h in range(info.n_shepherds)],
                 commands=[_command(state, h) for h in range(info.n_shepherds)],
                 lidars=frozenset(state.lidars),
                 drivers=state.drivers,
+                destination=destination,
             )
         )
     values = {f.name: getattr(info, f.name) for f in fields(info)}

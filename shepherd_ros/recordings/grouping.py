@@ -26,6 +26,7 @@ from shepherd_ros.wire.topics import (
     DRIVERS,
     EPISODE,
     GOAL,
+    GOAL_POSES,
     scan_topic,
     SHEEP_POSES,
     SHEPHERD_POSES,
@@ -33,7 +34,7 @@ from shepherd_ros.wire.topics import (
 
 SCANS = scan_topic('')  # and the name of a channel
 STATES = (SHEEP_POSES, SHEPHERD_POSES)
-EPISODE_PARTS = (*STATES, SCANS, COMMANDS, GOAL, DRIVERS)
+EPISODE_PARTS = (*STATES, SCANS, COMMANDS, GOAL, GOAL_POSES, DRIVERS)
 CLOSING_STEP = 2  # an episode ends for good when the next one has a state with this step
 TEXT_TYPE = 'std_msgs/msg/String'  # of announcements
 
@@ -44,6 +45,7 @@ class RecordedState:
 
     sheep: Poses | None = None
     shepherds: Poses | None = None
+    goal: Poses | None = None  # the goal and its destination, where it moves
     scans: dict[tuple[int, str], Ranges] = field(default_factory=dict)  # by shepherd, channel
     lidars: set[tuple[float, float]] = field(default_factory=set)  # range_max m, angle_min rad
     commands: dict[int, Floats] = field(default_factory=dict)  # by shepherd
@@ -228,6 +230,8 @@ def _store(state: RecordedState, name: str, shepherd: int | None, content: Any) 
         state.sheep = state.sheep or content
     elif name == SHEPHERD_POSES:
         state.shepherds = state.shepherds or content
+    elif name == GOAL_POSES:
+        state.goal = state.goal or content
     elif name == DRIVERS:
         state.drivers = content.drivers
     elif shepherd is not None and name == COMMANDS:

@@ -20,6 +20,7 @@ from shepherd_ros.wire.encode import (
     encode_clock,
     encode_command,
     encode_goal,
+    encode_goal_poses,
     encode_number,
     encode_poses,
     encode_scan,
@@ -32,6 +33,7 @@ from shepherd_ros.wire.topics import (
     contract,
     EPISODE,
     GOAL,
+    GOAL_POSES,
     metric_topic,
     row_of,
     scan_topic,
@@ -88,6 +90,9 @@ class EpisodeBag:
         if self.goal != state.goal.tolist():
             self.goal = state.goal.tolist()
             self.put(GOAL, encode_goal(ns, frame, *self.goal))
+        if episode.goal_moves:
+            goal, destination = state.goal.numpy(), state.destination.numpy()
+            self.put(GOAL_POSES, encode_goal_poses(ns, frame, goal, destination))
         self.put(CLOCK, encode_clock(ns))
         heading_of_shepherds = unit(state.shepherds - before.shepherds)
         for name, position, heading in (

@@ -37,6 +37,7 @@ def states_of(episode: RecordedEpisode, frames: Sequence[Frame] | None = None) -
                 shepherd_mask=torch.ones(episode.n_shepherds, dtype=torch.bool),
                 goal=_tensor(goal),
                 goal_radius=torch.tensor(episode.goal_radius),
+                destination=_tensor(goal if frame.destination is None else frame.destination),
             )
         )
     return stack(states)

@@ -12,7 +12,7 @@ from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.decode import decode_poses, Vector
 from shepherd_ros.wire.episode import Episode
-from shepherd_ros.wire.topics import GOAL, SHEEP_POSES, SHEPHERD_POSES
+from shepherd_ros.wire.topics import GOAL, GOAL_POSES, SHEEP_POSES, SHEPHERD_POSES
 import torch
 from torch import Tensor
 
@@ -55,13 +55,14 @@ class Listener:
         self.on_state, self.on_episode = on_state, on_episode
         self.episode: Episode | None = None
         self.goal: Tensor | None = None
+        self.goal_moves = False  # a state then needs the goal of its stamp
         self.states = 0
         self.last_state_time = node.wall()  # when the last state came
         self._poses: dict[str, tuple[int, Tensor, Tensor]] = {}
         self._constants: dict[str, Tensor] = {}  # what all states of the episode share
         listen_to_episodes(node, episode_and_world, self._on_episode)
         node.listen(GOAL, self._on_goal)
-        for topic in (SHEEP_POSES, SHEPHERD_POSES):
+        for topic in (GOAL_POSES, SHEEP_POSES, SHEPHERD_POSES):
             node.listen(topic, partial(self._on_poses, topic), decode=_decode_poses)
 
     def silence(self) -> str:
@@ -85,6 +86,7 @@ class Listener:
             'shepherd_mask': torch.ones(episode.n_shepherds, dtype=torch.bool),
             'goal_radius': torch.tensor(episode.goal_radius, dtype=torch.float32),
         }
+        self.goal_moves = world.goal_speed > 0
         self.on_episode(episode, world)
         self._pair()
 
@@ -124,14 +126,20 @@ class Listener:
         return False
 
     def _pair(self) -> None:
-        """Call on_state() if both poses have the same stamp and its episode is known."""
+        """Call on_state() if all poses have the same stamp and its episode is known."""
         episode, goal = self.episode, self.goal
-        if len(self._poses) < 2 or episode is None or goal is None:
+        needed = {SHEEP_POSES, SHEPHERD_POSES} | ({GOAL_POSES} if self.goal_moves else set())
+        if not needed <= self._poses.keys() or episode is None or goal is None:
             return
         ns, sheep, heading = self._poses[SHEEP_POSES]
-        shepherd_ns, shepherds, _ = self._poses[SHEPHERD_POSES]
-        if ns != shepherd_ns or not episode.has(ns):
+        _, shepherds, _ = self._poses[SHEPHERD_POSES]
+        if any(self._poses[topic][0] != ns for topic in needed) or not episode.has(ns):
             return
+        destination = goal
+        if self.goal_moves:
+            if len(self._poses[GOAL_POSES][1]) != 2:
+                return
+            goal, destination = self._poses[GOAL_POSES][1]
         if len(sheep) != episode.n_sheep or len(shepherds) != episode.n_shepherds:
             return
         self._poses.clear()
@@ -142,6 +150,7 @@ class Listener:
             heading=heading,
             shepherds=shepherds,
             goal=goal,
+            destination=destination,
             **self._constants,
         )
         self.on_state(ns, state, episode)

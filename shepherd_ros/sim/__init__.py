@@ -6,6 +6,7 @@ __all__ = [
     'flocking',
     'frames',
     'fused',
+    'goal_motion',
     'lidar',
     'lidar_layout',
     'limits',

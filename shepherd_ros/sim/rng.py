@@ -47,6 +47,9 @@ class Stream(IntEnum):
     DROPOUT = 14
     CONTROL = 15
     ACTION = 16
+    GOAL_COURSE = 17
+    PEDESTRIAN_SPEED = 18
+    PEDESTRIAN_TARGET = 19
 
 
 FIRST_MIXED = 1 << 52  # lowest of mixed_seeds(); what is held out has seeds below

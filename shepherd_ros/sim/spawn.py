@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from shepherd_ros.sim.flocking import model_of
+from shepherd_ros.sim.goal_motion import first_destination
 from shepherd_ros.sim.rng import direction, normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
@@ -49,6 +50,7 @@ def spawn(config: WorldConfig, seed: Tensor, dtype: torch.dtype = torch.float32)
     size = fewest + (spread * (m - fewest + 1)).long()  # (..., 1)
     shepherd_mask = torch.arange(m, device=device) < size
     shepherds = team + around(Stream.SHEPHERD_POSITION, m)
+    goal = torch.zeros((*seed.shape, 2), dtype=dtype, device=device)
     return WorldState(
         seed=seed,
         step=zero,
@@ -57,6 +59,7 @@ def spawn(config: WorldConfig, seed: Tensor, dtype: torch.dtype = torch.float32)
         sheep_mask=torch.ones((*seed.shape, n), dtype=torch.bool, device=device),
         shepherds=(shepherds * shepherd_mask[..., None]).to(dtype),
         shepherd_mask=shepherd_mask,
-        goal=torch.zeros((*seed.shape, 2), dtype=dtype, device=device),
+        goal=goal,
+        destination=first_destination(goal, seed, config),
         goal_radius=(config.goal_radius + start.goal_radius_extra * extra).to(dtype),
     )

@@ -16,7 +16,7 @@ class WorldState:
     One world, or a batch of them in leading axes (...).
 
     Positions are in metres in the world frame. Absent agents (mask False) come after the present
-    ones, stand on the goal and move nowhere. At least one sheep and one shepherd are present.
+    ones and stay where the goal started. At least one sheep and one shepherd are present.
     Nothing is changed in place; derived values are computed once.
     """
 
@@ -29,6 +29,13 @@ class WorldState:
     shepherd_mask: Tensor  # (..., H) bool
     goal: Tensor  # (..., 2) m
     goal_radius: Tensor  # (...) m
+    # (..., 2) m: the end of the goal's path, or the middle of its circle; by default the goal
+    destination: Tensor = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        """Fill in the destination of a goal that stands."""
+        if self.destination is None:
+            object.__setattr__(self, 'destination', self.goal)
 
     @cached_property
     def center(self) -> Tensor:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from shepherd_ros.sim import transition_compiled as compiled
 from shepherd_ros.sim.compiled import compilable
 from shepherd_ros.sim.flocking import model_of
+from shepherd_ros.sim.goal_motion import moved_goal
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import clip_norm
 from shepherd_ros.sim.world import WorldConfig
@@ -31,13 +32,13 @@ def move(state: WorldState, command: Tensor, config: WorldConfig) -> Tensor:
 
 def step(state: WorldState, command: Tensor, config: WorldConfig) -> WorldState:
     """
-    Return the world dt later: the shepherds move first, then all sheep at once.
+    Return the world dt later: the shepherds move first, then the goal, then all sheep at once.
 
     command (..., H, 2) m/s in the world frame is cut to the top speed; one with a NaN or an
     infinite part counts as zero. Shepherds are holonomic points, the plane has no walls (paper,
     section 3).
     """
-    moved = replace(state, shepherds=move(state, command, config))
+    moved = replace(state, shepherds=move(state, command, config), goal=moved_goal(state, config))
     sheep, heading = model_of(config.flock).step(moved, config.flock, config.dt)
     present = state.sheep_mask[..., None]
     after = replace(

@@ -11,6 +11,7 @@ from shepherd_ros.registry import Extended
 from shepherd_ros.sim.flocking import FLOCK_MODELS, model_of
 from shepherd_ros.sim.flocking.flock_model import FlockConfig
 from shepherd_ros.sim.flocking.strombom_flock import StrombomFlock
+from shepherd_ros.sim.goal_motion import GOAL_PATHS
 from shepherd_ros.sim.limits import MAX_DT, MAX_SHEEP, MAX_SHEPHERDS, MAX_STEPS, MIN_DT
 from shepherd_ros.sim.world_parameters import WORLD_PARAMETERS
 
@@ -63,6 +64,18 @@ class WorldConfig(Extended):
     episode_steps: int = option(1000, 'steps per episode, T', low=1, high=MAX_STEPS)
     goal_radius: float = option(4.0, 'radius of the goal region, R_g [m]', low=0.01, high=1000.0)
     shepherd_speed: float = option(1.0, 'top speed of a shepherd, v_max [m/s]', low=0.0)
+    goal_speed: float = option(
+        0.0, 'speed of the goal [m/s]; 0: it stands, as in the paper', low=0.0, sparse=True
+    )
+    goal_path: str = option(
+        'straight',
+        'path of a moving goal: straight to its destination, or a circle around that',
+        choices=GOAL_PATHS,
+        sparse=True,
+    )
+    goal_distance: float = option(
+        20.0, 'distance of a moving goal to its destination at the start [m]', low=0.0, sparse=True
+    )
     spawn: SpawnConfig = part(SpawnConfig)
     flock: FlockConfig = part(FlockConfig, StrombomFlock)
 

@@ -47,6 +47,12 @@ def encode_goal(ns: int, frame_id: str, x: float, y: float) -> bytes:
     return ENCAPSULATION + _header(ns, frame_id, 8) + pose
 
 
+def encode_goal_poses(ns: int, frame_id: str, goal: np.ndarray, destination: np.ndarray) -> bytes:
+    """Return goal and destination (2,) m as a geometry_msgs/PoseArray; yaw is the course."""
+    position = np.stack([goal, destination]).astype(np.float64)
+    return encode_poses(ns, frame_id, position, (position[1:] - position[:1]).repeat(2, axis=0))
+
+
 def encode_scan(
     ns: int, frame_id: str, ranges: np.ndarray, range_max: float, scan_time: float
 ) -> bytes:

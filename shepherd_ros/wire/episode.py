@@ -74,6 +74,11 @@ class Episode:
         """Return the step of the last state."""
         return int(self.world['episode_steps'])
 
+    @property
+    def goal_moves(self) -> bool:
+        """Return whether the goal moves by itself, and is published with each state."""
+        return bool(self.world.get('goal_speed', 0.0) > 0)
+
     def step_of(self, stamp_ns: int) -> int:
         """Return the step of a stamp [ns]; outside 0 .. episode_steps: of another episode."""
         return (stamp_ns - self.start_ns) // self.dt_ns

@@ -96,6 +96,8 @@ def config_schema(config: type[Config], **extra: Any) -> dict[str, Any]:
     """
     Return the JSON schema of Config.to_dict(): each option with its range, and nothing else.
 
+    Sparse options may be missing.
+
     Keyword arguments are schemas of fields that are not options.
     """
     properties = dict(extra)
@@ -104,11 +106,12 @@ def config_schema(config: type[Config], **extra: Any) -> dict[str, Any]:
             properties[f.name] = _option_schema(f.default, f.metadata)
     names = [f.name for f in fields(config) if f.metadata]
     order = [name for name in extra if name not in names] + names
+    sparse = [f.name for f in fields(config) if f.metadata.get('sparse')]
     return {
         'description': (config.__doc__ or '').strip(),
         'type': 'object',
         'additionalProperties': False,
-        'required': order,
+        'required': [name for name in order if name not in sparse],
         'properties': {name: properties[name] for name in order},
     }
 

@@ -14,6 +14,7 @@ import yaml
 WORLD_FRAME = 'map'  # unless a parameter says otherwise
 SHEPHERD = 'shepherd_{h}'  # frame of a shepherd, and what its topics begin with
 EPISODE, GOAL, CLOCK = 'episode', 'goal', '/clock'
+GOAL_POSES = 'goal/poses'
 SHEEP_POSES, SHEPHERD_POSES = 'flock/poses', 'shepherds/poses'
 COMMANDS = f'{SHEPHERD}/cmd_vel'
 DRIVERS, SELECT = 'drivers', 'mux/select'

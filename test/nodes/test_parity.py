@@ -47,21 +47,23 @@ def run_whole(
 
 
 @pytest.mark.parametrize(
-    ('controller', 'flock'),
+    ('controller', 'flock', 'changes'),
     [
-        ('strombom', 'reynolds'),
-        ('pierson', 'strombom'),
-        ('idle', 'strombom'),
-        ('random', 'strombom'),
+        ('strombom', 'reynolds', {}),
+        ('pierson', 'strombom', {}),
+        ('idle', 'strombom', {}),
+        ('random', 'strombom', {}),
+        ('drover', 'strombom', {'goal_speed': 0.2}),
+        ('strombom', 'strombom', {'goal_speed': 0.1, 'goal_path': 'circle'}),
     ],
 )
 def test_fifty_steps_over_topics_are_fifty_calls_of_env_step(
-    graph: Graph, controller: str, flock: str
+    graph: Graph, controller: str, flock: str, changes: dict[str, Any]
 ) -> None:
-    states, _ = rollout(controller, EnvConfig(world=world_of(flock)))
+    states, _ = rollout(controller, EnvConfig(world=world_of(flock, **changes)))
     assert len(states) == STEPS + 1
     track = graph.track()
-    graph.start('flock_sim', flock=flock, episode_steps=STEPS, episodes=1)
+    graph.start('flock_sim', flock=flock, episode_steps=STEPS, episodes=1, **changes)
     run_whole(graph, track, states, controller)
 
 

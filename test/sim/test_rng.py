@@ -92,6 +92,9 @@ def test_the_streams_have_the_numbers_of_all_times() -> None:
         'DROPOUT': 14,
         'CONTROL': 15,
         'ACTION': 16,
+        'GOAL_COURSE': 17,
+        'PEDESTRIAN_SPEED': 18,
+        'PEDESTRIAN_TARGET': 19,
     }
 
 
