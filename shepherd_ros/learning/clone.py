@@ -31,15 +31,11 @@ class CloneConfig(Config):
     )
     clip_speed: float = option(
         0.0,
-        'the mean is cut to this speed before its error is taken [m/s]; 0: it is not',
+        'the mean is cut to this for its error [m/s]',
         low=0.0,
     )
-    gate_weight: float = option(
-        0.1, 'weight of the cross-entropy of the gate, with two modes [m2/s2]', low=0.0
-    )
-    hold_weight: float = option(
-        1.0, 'weight of the error while the teacher holds, with two modes', low=0.0
-    )
+    gate_weight: float = option(0.1, 'weight of the cross-entropy of the gate', low=0.0)
+    hold_weight: float = option(1.0, 'weight of errors while the teacher holds', low=0.0)
     ema_decay: float = option(
         0.998, 'share that the running mean of the weights keeps in a step', low=0.0, high=1.0
     )

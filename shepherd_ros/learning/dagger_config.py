@@ -28,9 +28,7 @@ class DaggerConfig(Config):
     groups: int = option(12, 'groups of worlds; those of one share what is drawn', low=1)
     worlds: int = option(8, 'worlds of a group', low=1)
     teacher_groups: int = option(1, 'groups that the teacher always drives', low=0)
-    example_team_exponent: float = option(
-        0.0, 'an example of a team of M counts M to the power of minus this; 0: all alike', low=0.0
-    )
+    example_team_exponent: float = option(0.0, 'that of M counts M to minus this', low=0.0)
     buffer_size: int = option(200_000, 'examples that are kept, the newest', low=1)
     eval_freq: int = option(10, 'rounds from one evaluation to the next', low=1)
     bag_folder: str = option('', 'folder for bags of all that is driven, with labels; empty: none')

@@ -39,15 +39,11 @@ class PPOConfig(Config):
     max_grad_norm: float = option(0.5, 'gradients are cut to this norm', low=0.0)
     critic_input: str = option(
         'scans',
-        'what the critic of the training sees: scans, as the policy; state: the true state',
+        'what its critic sees; state: the true one',
         choices=('scans', 'state'),
     )
-    learn_share: float = option(
-        1.0, 'share of the decisions that an update learns from', low=0.01, high=1.0
-    )
-    teacher: str = option(
-        '', 'controller whose commands are learned where the flock is home; empty: none'
-    )
+    learn_share: float = option(1.0, 'share of the decisions it learns from', low=0.01, high=1.0)
+    teacher: str = option('', 'controller to learn from at home; empty: none')
     label_weight: float = option(1.0, 'weight of the error against them', low=0.0)
     ema_decay: float = option(
         0.995,

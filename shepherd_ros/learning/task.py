@@ -56,7 +56,7 @@ class TaskConfig(Extended):
     )
     team_exponent: float = option(
         0.0,
-        'a team of M is drawn in proportion to M to the power of minus this; 0: all as often',
+        'a team of M is drawn by M to minus this',
         low=0.0,
     )
     home_share: float = option(
@@ -65,16 +65,14 @@ class TaskConfig(Extended):
         low=0.0,
         high=1.0,
     )
-    home_distance_min: float = option(
-        0.0, 'least distance of the flock of such a start from the middle of the goal [m]', low=0.0
-    )
-    home_distance_max: float = option(2.0, 'greatest such distance [m]', low=0.0)
+    home_distance_min: float = option(0.0, 'their flock, nearest to the goal [m]', low=0.0)
+    home_distance_max: float = option(2.0, 'their flock, farthest from the goal [m]', low=0.0)
     effort: float = option(
         0.0, 'reward that a meter of its way costs a shepherd (choice: the paper has none)', low=0
     )
     effort_from: str = option(
         'start',
-        'where a way has that cost: start: always; home: with the middle of the flock in the goal',
+        'where: always, or with the flock at home',
         choices=('start', 'home'),
     )
     reward: RewardConfig = part(RewardConfig)

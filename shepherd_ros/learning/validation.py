@@ -32,28 +32,22 @@ class EvaluationConfig(Config):
         'noise on perceived positions in half of these episodes [m]; 0: in none',
         low=0.0,
     )
-    eval_sheep: str = option(
-        '', 'sizes of their flocks, such as 20,100,200; empty: as sheep_scale of the task has it'
-    )
-    eval_shepherds: str = option(
-        '', 'sizes of their teams, such as 1,3,6; empty: evenly drawn from those of the task'
-    )
+    eval_sheep: str = option('', 'sizes of flocks, such as 20,100; empty: as the task')
+    eval_shepherds: str = option('', 'sizes of teams, such as 1,3,6; empty: all')
     eval_sample_std: float = option(
         0.0,
-        'half of these episodes by samples with this standard deviation about the mean [m/s]; '
-        '0: all by the mean',
+        'half by samples of this deviation [m/s]; 0: none',
         low=0.0,
         high=10.0,
     )
     return_weight: float = option(1.0, 'weight of a tenth of the return in the score')
-    goal_weight: float = option(1.0, 'weight of the share in the goal at the end in the score')
+    goal_weight: float = option(1.0, 'weight of the share in the goal in the score')
     time_weight: float = option(
         0.0,
-        'what the 95th percentile of the time until completion takes off the score, the whole '
-        'episode as 1',
+        'weight of late completions, 95th percentile',
         low=0.0,
     )
-    path_weight: float = option(0.0, "what 100 m of a shepherd's way take off the score", low=0.0)
+    path_weight: float = option(0.0, 'weight of 100 m of a path', low=0.0)
     keep_evaluated: bool = option(False, 'keep the policy of each evaluation, not only the best')
 
     def __post_init__(self) -> None:
