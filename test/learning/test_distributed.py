@@ -63,7 +63,13 @@ def updated() -> dict[str, Tensor]:
     if ranks() == 2:
         own = own[:FIRST] if rank() == 0 else own[FIRST:]
     batch = Batch(
-        own[:, None], torch.zeros_like(own), action[own], density[own], value[own], gain[own]
+        own[:, None],
+        torch.zeros_like(own),
+        action[own],
+        density[own],
+        value[own],
+        gain[own],
+        hold=None,
     )
     config = PPOConfig(
         update_epochs=3,

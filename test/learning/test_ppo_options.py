@@ -146,8 +146,8 @@ def test_labels_are_the_commands_of_the_teacher_where_the_flock_is_home() -> Non
     command, _ = law.act(state, law.begin(state))
     mask = state.shepherd_mask
     count = int(mask.sum())
-    got = rotate_by_ray(batch.label[:count], batch.first[:count], 96)
-    torch.testing.assert_close(got, command[mask], atol=1e-5, rtol=0)
+    result = rotate_by_ray(batch.label[:count], batch.first[:count], 96)
+    torch.testing.assert_close(result, command[mask], atol=1e-5, rtol=0)
     home = torch.linalg.vector_norm(state.center - state.goal, dim=-1) <= state.goal_radius
     assert torch.equal(batch.home[:count], home[:, None].expand_as(mask)[mask])
     assert set(batch.home.tolist()) == {False, True}
