@@ -28,7 +28,7 @@ class Curve:
     name: str  # of the policy, and after a dot of what sets the training apart, such as a seed
     samples: Array  # (K,) transitions of a shepherd
     returns: Array  # (K,)
-    judged: bool  # True: of whole episodes that were judged; False: mean reward x 1000 steps
+    judged: bool  # True: of whole evaluation episodes; False: mean reward x 1000 steps
 
     @property
     def policy(self) -> str:
@@ -46,7 +46,7 @@ def read_curve(path: Path) -> Curve:
         raise ConfigError(f'{file} is no curve of a training ({error})') from error
     if not rows or not all(isinstance(row, dict) and 'samples' in row for row in rows):
         raise ConfigError(f'{file} is no curve of a training: expected lines with samples')
-    judged = not any('reward' in row for row in rows)
+    judged = any('eval/return' in row for row in rows)
     field, scale = ('eval/return', 1) if judged else ('reward', STEPS_PER_EPISODE)
     points = [(row['samples'], scale * row[field]) for row in rows if field in row]
     values = np.array(points, np.float64).reshape(-1, 2)

@@ -16,6 +16,7 @@ from shepherd_ros.paper.verdict_tables import (
     policy_table,
     TITLES,
 )
+from shepherd_ros.paper.verdicts import Verdict
 import tomllib
 
 Causes = Mapping[str, Mapping[str, str]]  # preset, or `beyond` -> statement, or experiment -> text
@@ -69,19 +70,26 @@ def figure_page(
     ]
     for each in others:
         also = [outcome for outcome in each.of(name) if outcome.primary]
-        lines += folded(f'Numbers in preset `{each.preset}`', number_table(also))
+        numbers = number_table(also)
+        if each.preset in causes:
+            numbers += ['', *cause_table(also, causes[each.preset])]
+        lines += folded(f'Numbers in preset `{each.preset}`', numbers)
     for policy in dict.fromkeys(o.policy for o in first.of(name) if not o.primary):
         also = [outcome for outcome in first.of(name) if outcome.policy == policy]
         lines += folded(f'Numbers with {label(policy)}', number_table(also))
-    known = causes.get(first.preset, {})
+    lines += ['## Cause', '', *cause_table(own, causes.get(first.preset, {}))]
+    return '\n'.join(lines).rstrip() + '\n'
+
+
+def cause_table(outcomes: Sequence[Verdict], causes: Mapping[str, str]) -> list[str]:
+    """Return the table of the causes why statements do not agree."""
     rows = [
-        f'| {o.statement} | {o.verdict} | {known.get(o.statement, "not followed up")} |'
-        for o in own
+        f'| {o.statement} | {o.verdict} | {causes.get(o.statement, "not followed up")} |'
+        for o in outcomes
         if o.verdict != AGREES
     ]
     head = ['| statement | verdict | cause |', '|---|---|---|']
-    lines += ['## Cause', '', *([*head, *rows] if rows else ['All agree.'])]
-    return '\n'.join(lines).rstrip() + '\n'
+    return [*head, *rows] if rows else ['All agree.']
 
 
 def _episodes(samples: Samples | None) -> str:

@@ -159,7 +159,7 @@ def draw_curves(curves: Sequence[Curve]) -> Figure:
     axes, ends, looks = panels[0, 0], {}, {}
     for policy in dict.fromkeys(curve.policy for curve in curves):
         trainings = [curve for curve in curves if curve.policy == policy]
-        kind = 'validation episodes' if trainings[0].judged else 'mean reward x 1000'
+        kind = 'evaluation episodes' if trainings[0].judged else 'mean reward x 1000'
         name = f'{policy} (n = {len(trainings)})\n{kind}'
         look = style_of(f'policy:{policy}', [f'policy:{c.policy}' for c in curves])
         looks[name] = look

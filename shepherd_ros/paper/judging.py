@@ -55,7 +55,7 @@ def judge(
     maps: Maps,
 ) -> Judged:
     """Return the verdicts on all statements; undecided where there are no rows."""
-    outcomes = verdicts_on_curves(curves, primary['strombom'])
+    outcomes = verdicts_on_curves(curves, primary)
     for name in dict.fromkeys(claim.experiment for claim in CLAIMS):
         found = samples.get(name)
         if found is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
 
@@ -122,20 +122,24 @@ def without_number(clause: Clause, result: str, reason: str) -> ClauseFinding:
     return ClauseFinding(clause, nan, nan, nan, result, reason, result)
 
 
-def verdicts_on_curves(curves: Sequence[Curve], primary: str) -> list[Verdict]:
+def verdicts_on_curves(curves: Sequence[Curve], primary: Mapping[str, str]) -> list[Verdict]:
     """
     Return the verdict on figure 3 for each policy, with a finding for each training.
 
-    That of the primary policy is first, and undecided without a curve.
+    Those of the primary policies (by flock) are judged together, first, and undecided without a
+    curve.
     """
     statement = 'The return rises and flattens within 100 million samples'
-    checkpoint = checkpoint_of(primary)
-    found: dict[str, list[ClauseFinding]] = {checkpoint: []}
+    found: dict[str, list[ClauseFinding]] = {}
     for curve in curves:
         finding = without_number(plain(curve.name), *curve_verdict(curve))
-        found.setdefault(curve.policy, []).append(finding)
-    missing = [without_number(plain('curve'), UNDECIDED, f'no curve of {checkpoint}')]
-    return [
-        single('fig3', statement, f'policy:{name}', *(own or missing), primary=name == checkpoint)
-        for name, own in found.items()
-    ]
+        found.setdefault(f'policy:{curve.policy}', []).append(finding)
+    ours: list[ClauseFinding] = []
+    for name in dict.fromkeys(primary.values()):
+        missing = without_number(
+            plain(checkpoint_of(name)), UNDECIDED, f'no curve of {checkpoint_of(name)}'
+        )
+        ours += found.pop(name, [missing])
+    together = single('fig3', statement, ' and '.join(dict.fromkeys(primary.values())), *ours)
+    variants = (single('fig3', statement, n, *f, primary=False) for n, f in found.items())
+    return [together, *variants]

@@ -520,7 +520,13 @@ def test_curves_are_found_in_files_and_runs(tmp_path: Path) -> None:
         path.write_text('\n'.join(map(json.dumps, lines)))
     found = find_curves([tmp_path])
     assert [(c.name, c.returns.tolist()) for c in found] == [('a', [0, 1, 2]), ('run', [0, 1, 2])]
-    (missing,) = verdicts_on_curves([], 'policy:x')
+    (tmp_path / 'a.jsonl').write_text('\n'.join(
+        json.dumps({'samples': k, 'reward': 9.0} | ({'eval/return': k} if k % 2 else {}))
+        for k in range(4)
+    ))  # fmt: skip
+    (whole,) = find_curves([tmp_path / 'a.jsonl'])
+    assert (whole.samples.tolist(), whole.returns.tolist()) == ([1, 3], [1, 3])
+    (missing,) = verdicts_on_curves([], {'strombom': 'policy:x'})
     assert (missing.verdict, missing.primary) == (UNDECIDED, True)
     assert missing.findings[0].reason == 'no curve of x'
     (tmp_path / 'b.jsonl').write_text('{"loss": 1}')
@@ -533,11 +539,14 @@ def test_trainings_of_one_policy_are_judged_together() -> None:
     names = {'a': flat, 'b': flat, 'a.seed_1': steep}
     samples = np.linspace(0, 100e6, 40)
     curves = [Curve(name, samples, np.array(r, float), True) for name, r in names.items()]
-    first, second = verdicts_on_curves(curves, 'policy:a')
+    first, second = verdicts_on_curves(curves, {'strombom': 'policy:a'})
     assert (first.policy, first.verdict) == ('policy:a', DISAGREES)  # one of its two does
     assert [f.verdict for f in first.findings] == [AGREES, DISAGREES]
     assert (second.policy, second.verdict) == ('policy:b', AGREES)
     assert (first.primary, second.primary) == (True, False)
+    both = verdicts_on_curves(curves, {'strombom': 'policy:a', 'reynolds': 'policy:b'})
+    assert [j.policy for j in both] == ['policy:a and policy:b']
+    assert [f.verdict for f in both[0].findings] == [AGREES, DISAGREES, AGREES]
 
 
 def test_a_smoothed_curve_is_the_mean_within_its_window() -> None:
