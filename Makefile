@@ -91,7 +91,7 @@ train: setup
 
 # What the paper shows, with intervals and a verdict on each of its statements, in out/paper/:
 # in PRESET, or several, the first one drawn. An interrupted run goes on where it was. Seeds from
-# 3000 on were used by no search. QUICK=1: where the statements look, 12 episodes, in out/quick/.
+# 3000 on were used by no search. QUICK=1: where the statements look, 50 episodes, in out/quick/.
 WORKERS ?= 2
 CURVES ?= docs/curves
 paper: PRESET := $(if $(QUICK),third,third default table_literal)
@@ -115,7 +115,7 @@ $(BIN)/shepherd evaluate paper $(SHORT) --preset $(1) --seed 3000 --workers $(WO
 
 endef
 
-paper: setup  # all statements of the paper: a few hours; out/paper/results/README.md
+paper: setup  # all statements of the paper: an hour or two; out/paper/results/README.md
 	$(foreach preset,$(PRESET),$(call evaluate_preset,$(preset)))
 	$(BIN)/shepherd figures $(PAPER)/rows --presets $(PRESET) --report --curves $(CURVES) \
 	  --out $(PAPER)/results --command 'make paper$(if $(QUICK), QUICK=1)'

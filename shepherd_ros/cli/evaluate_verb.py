@@ -49,7 +49,7 @@ class Evaluate(ManySettings):
     Not needed where torchrun has started this: each of its processes then does its part.
     """
     quick: bool = False
-    """Only where the statements of the paper look, 12 episodes of each cell."""
+    """Only where the statements of the paper look, 50 episodes of each cell."""
     stop_early: bool = False
     """End a figure of the paper once its verdicts are certain, after 50 episodes or more."""
     seed: int = 0

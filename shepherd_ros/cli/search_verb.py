@@ -58,7 +58,7 @@ class Search:
         from shepherd_ros.paper.preset_search import preset_of
         from shepherd_ros.sim.presets import PRESETS
 
-        columns = {}
+        columns: dict[str, Any] = {}
         for title, preset in (('default', PRESETS['default']), ('best', preset_of(best))):
             columns |= both_seeds(title, preset, self.episodes, self.steps, {})
         table = self.out.with_suffix('.md')

@@ -11,7 +11,7 @@ from shepherd_ros.config import unknown_name
 from shepherd_ros.experiments.setting import Setting
 
 OF_THE_PAPER = ('fig4', 'fig5', 'fractions', 'fig6', 'fig7', 'fig8')
-QUICK_EPISODES = 12  # of each cell of the short forms
+QUICK_EPISODES = 50  # of each cell of the short forms: one batch
 BASELINES = ('strombom', 'pierson')
 PAPER_CONTROLLERS = ('policy', *BASELINES, 'drover')
 FIGURE_4 = ('completion_time', 'shepherd_path_length', 'flock_spread', 'flock_path_length')

@@ -40,8 +40,11 @@ def _with_choice(preset: Preset, path: str, value: Any) -> Preset:
     if path == 'dt':
         return replace(preset, dt=value)
     kind, name, option = path.split('.')
-    parts = dict(getattr(preset, kind))
-    return replace(preset, **{kind: parts | {name: {**parts.get(name, {}), option: value}}})
+    parts = dict(preset.flock if kind == 'flock' else preset.controllers)
+    parts[name] = {**parts.get(name, {}), option: value}
+    if kind == 'flock':
+        return replace(preset, flock=parts)
+    return replace(preset, controllers=parts)
 
 
 def both_seeds(
