@@ -11,6 +11,7 @@ __all__ = [
     'preset_search',
     'primary',
     'report',
+    'stopping',
     'summary',
     'value_verdicts',
     'verdict_picture',

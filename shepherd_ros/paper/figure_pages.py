@@ -10,6 +10,7 @@ from shepherd_ros.experiments.methods import label
 from shepherd_ros.experiments.samples import Samples
 from shepherd_ros.paper.claims import AGREES
 from shepherd_ros.paper.judging import Judged
+from shepherd_ros.paper.stopping import CERTAIN
 from shepherd_ros.paper.verdict_tables import (
     counts_in_words,
     number_table,
@@ -96,7 +97,13 @@ def _episodes(samples: Samples | None) -> str:
     if samples is None:
         return ''
     seeds = f'{samples.seeds[0]} to {samples.seeds[-1]}'
-    return f', {len(samples.seeds)} episodes of {samples.steps} steps a cell, seeds {seeds}'
+    count, whole = len(samples.seeds), samples.experiment.episodes
+    less = (
+        f' (of {whole}: a short form, or ended early as no verdict was undecided by intervals of '
+        f'{100 * CERTAIN:g} %)'
+    )
+    few = less if count < whole else ''
+    return f', {count} episodes of {samples.steps} steps a cell{few}, seeds {seeds}'
 
 
 def folded(title: str, lines: Sequence[str]) -> list[str]:
