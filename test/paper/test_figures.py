@@ -141,7 +141,7 @@ def test_the_report_begins_with_the_answer() -> None:
     assert 'n = 5 episodes' in figure.axes[0].get_title(loc='left')
     assert all(']' in axes.get_xlabel() for axes in figure.axes)
     rows = [text.get_text() for text in figure.axes[0].get_yticklabels()]
-    assert rows == [label(method) for method in METHODS if method != 'drover']
+    assert rows == [label(m).removesuffix(' (ours)') for m in METHODS if m != 'drover']
     assert draw_summary([]) is None
 
     class NoRows:
