@@ -61,8 +61,8 @@ def samples_of(
     Return the episodes of an experiment, or raise ConfigError if they do not fit together.
 
     None: rows of fewer than `least` of its settings. A controller that lacks a setting has NaN
-    there; one with less than half of the episodes of another (as many from each of its cells), or
-    with `whole` one that lacks any, is left out, and named.
+    there; one with less than half of the episodes of another (as many from each of its cells), one
+    with other seeds, and with `whole` one that lacks any, is left out, and named.
     """
     cells: dict[tuple[str, int], np.ndarray] = {}  # controller, setting -> indices of rows
     settings = list(dict.fromkeys(map(canonical_setting, experiment.settings)))
@@ -79,6 +79,7 @@ def samples_of(
     count = {name: len(episodes) * min(episodes) for name, episodes in sizes.items()}
     largest = max(count.values(), default=0)
     cells = {key: index for key, index in cells.items() if 2 * count[key[0]] >= largest}
+    cells = _of_same_seeds(cells, rows, count)
     if whole:
         cells = _of_whole(cells, rows, experiment, settings)
     if len({place for _, place in cells}) < least:
@@ -103,6 +104,18 @@ def samples_of(
     left_out = tuple(sorted_methods(list(count.keys() - {name for name, _ in cells})))
     present_settings = tuple(settings[p] for p in present)
     return Samples(experiment, present_settings, tuple(seeds), steps, values, left_out)
+
+
+def _of_same_seeds(
+    cells: dict[tuple[str, int], Array], rows: Results, count: dict[str, int]
+) -> dict[tuple[str, int], Array]:
+    """Return the cells of the controllers that share seeds with the one of most episodes."""
+    seeds: dict[str, set[int]] = {}  # that all cells of a controller have
+    for (name, _), index in cells.items():
+        own = set(rows.columns['seed'][index].tolist())
+        seeds[name] = seeds.get(name, own) & own
+    most = seeds[max(seeds, key=lambda name: count[name])] if seeds else set()
+    return {key: index for key, index in cells.items() if not most or seeds[key[0]] & most}
 
 
 def _of_whole(

@@ -189,6 +189,17 @@ def test_a_controller_with_less_than_half_of_the_episodes_is_left_out() -> None:
     assert 'fig4 is without policy:strombom' in samples.notes[0]
 
 
+def test_a_controller_with_other_seeds_is_left_out() -> None:
+    cells = [made_up(Setting(sheep=n), 'pierson', completion_time=[1.0, 2.0]) for n in (10, 20)]
+    other = made_up(Setting(sheep=10), 'drover', completion_time=[3.0, 4.0])
+    seed = other.schema.get_field_index('seed')
+    other = other.set_column(seed, other.schema.field(seed), pa.array([7, 8]))
+    samples = samples_of(Results(pa.concat_tables([*cells, other])), EXPERIMENTS['fig4'])
+    assert samples is not None
+    assert samples.controllers == ['pierson']
+    assert samples.left_out == ('drover',)
+
+
 def test_rows_of_the_same_world_count_whatever_its_setting_is_called() -> None:
     named, changed = Setting(preset='rho_a_one'), Setting(repulsion=1.0)
     assert env_config(named) == env_config(changed)
