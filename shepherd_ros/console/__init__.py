@@ -6,6 +6,7 @@ __all__ = [
     'commands',
     'metric_history',
     'desk',
+    'frame_pace',
     'state_frames',
     'live_values',
     'messages',

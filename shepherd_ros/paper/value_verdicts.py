@@ -11,14 +11,14 @@ from shepherd_ros.experiments.methods import checkpoint_of, label, loaded
 from shepherd_ros.experiments.value_map import BEHIND_COSINE, value_map, ValueMap
 from shepherd_ros.paper.claims import Clause, ClauseFinding, strict_verdict, UNDECIDED
 from shepherd_ros.paper.primary import trained_on
-from shepherd_ros.paper.verdicts import plain, single, Verdict, without_number
+from shepherd_ros.paper.verdicts import bare_clause, single, Verdict, without_number
 
 N_VALUE_MAPS = 20  # flocks of which the critic's values are looked at
 BEHIND = 'The best place for a third shepherd is behind the flock, seen from the goal'
 AREAS = 'The areas of high value are large for the Strömbom flock, small for Reynolds'
 COSINE = 'cosine between the best 5 x 5 places and straight behind'
 GRADIENT = 'value behind less that in front, near the flock, over the range of values'
-SHARE = 'share of the plane with high values, Strömbom over Reynolds'
+AREA_RATIO = 'share of the plane with high values, Strömbom over Reynolds'
 
 Maps = Mapping[str, Sequence[ValueMap]]  # by policy
 
@@ -67,8 +67,8 @@ def _number(clause: Clause, values: Array) -> ClauseFinding:
 def _behind(policy: str, maps: Maps) -> list[ClauseFinding]:
     """Return the findings on where a policy's values are high."""
     clauses = [
-        plain(f'{label(policy)}: {COSINE}', BEHIND_COSINE),
-        plain(f'{label(policy)}: {GRADIENT}', 0.0),
+        bare_clause(f'{label(policy)}: {COSINE}', BEHIND_COSINE),
+        bare_clause(f'{label(policy)}: {GRADIENT}', 0.0),
     ]
     if policy not in maps:
         return [without_number(clause, UNDECIDED, _no_critic(policy)) for clause in clauses]
@@ -79,7 +79,7 @@ def _behind(policy: str, maps: Maps) -> list[ClauseFinding]:
 
 def _areas(strombom: str, reynolds: str, maps: Maps) -> ClauseFinding:
     """Return the finding on the areas of high value of two policies, flock by flock."""
-    clause = plain(SHARE, 1.0)
+    clause = bare_clause(AREA_RATIO, 1.0)
     for policy in (strombom, reynolds):
         if policy not in maps:
             return without_number(clause, UNDECIDED, _no_critic(policy))

@@ -20,7 +20,7 @@ LOOK = {
     DISAGREES: ('#D55E00', 'D'),
     UNDECIDED: ('#E8EAEC', 'U'),
 }
-WIDTH, LEFT = 96, 6.0  # of a statement: characters, inches
+WIDTH, STATEMENT_WIDTH = 96, 6.0  # of a statement: characters, inches
 
 
 def draw_verdicts(judged: Sequence[Judged]) -> Figure:
@@ -30,7 +30,7 @@ def draw_verdicts(judged: Sequence[Judged]) -> Figure:
         for each in judged
     ]
     rows = [(name, s) for name in TITLES for figure, s in columns[0] if figure == name]
-    figure, panels = new_figure(1, 1, LEFT + 1.1 * len(judged), 0.21 * (len(rows) + 3))
+    figure, panels = new_figure(1, 1, STATEMENT_WIDTH + 1.1 * len(judged), 0.21 * (len(rows) + 3))
     axes = panels[0, 0]
     for y, (name, statement) in enumerate(rows):
         number = name.removeprefix('fig').replace('fractions', 'text')
@@ -44,7 +44,7 @@ def draw_verdicts(judged: Sequence[Judged]) -> Figure:
         axes.text(x + 0.46, -0.8, each.preset, ha='center', va='bottom', fontsize=8, color=INK)
         totals = ' '.join(f'{each.counts[k]}{LOOK[k][1]}' for k in VERDICTS)
         axes.text(x + 0.46, len(rows) - 0.2, totals, ha='center', va='top', fontsize=7, color=INK)
-    axes.set(xlim=(-LEFT / 1.1, len(judged)), ylim=(len(rows) + 0.6, -1.8))
+    axes.set(xlim=(-STATEMENT_WIDTH / 1.1, len(judged)), ylim=(len(rows) + 0.6, -1.8))
     axes.axis('off')
     words = ', '.join(f'{LOOK[kind][1]} {kind}' for kind in VERDICTS)
     figure.suptitle(f'Statements of the paper, by preset: {words}', fontsize=10, color=INK)

@@ -103,7 +103,7 @@ def _judge_claim(claim: Claim, samples: Samples, policy: str) -> Verdict:
     )
 
 
-def plain(text: str, low: float = -math.inf) -> Clause:
+def bare_clause(text: str, low: float = -math.inf) -> Clause:
     """Return a clause whose number does not come from rows."""
     return Clause(text, lambda sweep: np.zeros(1), low)
 
@@ -132,14 +132,16 @@ def verdicts_on_curves(curves: Sequence[Curve], primary: Mapping[str, str]) -> l
     statement = 'The return rises and flattens within 100 million samples'
     found: dict[str, list[ClauseFinding]] = {}
     for curve in curves:
-        finding = without_number(plain(curve.name), *curve_verdict(curve))
+        finding = without_number(bare_clause(curve.name), *curve_verdict(curve))
         found.setdefault(f'policy:{curve.policy}', []).append(finding)
-    ours: list[ClauseFinding] = []
+    of_primary: list[ClauseFinding] = []
     for name in dict.fromkeys(primary.values()):
         missing = without_number(
-            plain(checkpoint_of(name)), UNDECIDED, f'no curve of {checkpoint_of(name)}'
+            bare_clause(checkpoint_of(name)), UNDECIDED, f'no curve of {checkpoint_of(name)}'
         )
-        ours += found.pop(name, [missing])
-    together = single('fig3', statement, ' and '.join(dict.fromkeys(primary.values())), *ours)
+        of_primary += found.pop(name, [missing])
+    together = single(
+        'fig3', statement, ' and '.join(dict.fromkeys(primary.values())), *of_primary
+    )
     variants = (single('fig3', statement, n, *f, primary=False) for n, f in found.items())
     return [together, *variants]

@@ -96,16 +96,15 @@ def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None)
     """
     Run a node as a process; return its exit code, that of node.end() after a stop signal.
 
-    options is a dataclass filled from the command line, the argument of make_node. If that returns
-    several nodes, they run together, and the first one decides when and how they end.
+    options is a dataclass filled from the command line, the argument of make_node. Of several nodes
+    that this returns, the first one decides when and how all end.
     """
     # rclpy's own handlers would end the context in the midst of a callback that publishes
     received: list[int] = []
     for number in STOP_SIGNALS:
         if (number, signal.getsignal(number)) != (signal.SIGHUP, signal.SIG_IGN):  # nohup's
             signal.signal(number, lambda number, frame: received.append(number))
-    nodes: list[ShepherdNode] = []
-    code = EXIT_USAGE
+    nodes, code = list[ShepherdNode](), EXIT_USAGE
     try:
         arguments = remove_ros_args(sys.argv)[1:]
         if options is not None:

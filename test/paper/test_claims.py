@@ -54,7 +54,7 @@ from shepherd_ros.paper.value_verdicts import AREAS, BEHIND, verdicts_on_values
 from shepherd_ros.paper.verdict_tables import counts_by_figure
 from shepherd_ros.paper.verdicts import (
     counts,
-    plain,
+    bare_clause,
     Verdict,
     verdicts_on_curves,
     verdicts_on_samples,
@@ -642,7 +642,7 @@ def test_each_critic_is_judged_alone_and_over_flocks() -> None:
 
 def test_the_summary_counts_each_statement_once_with_its_primary_policy() -> None:
     def judged(statement: str, policy: str, low: float, primary: bool = True) -> Verdict:
-        clause = plain('x', 0.0)
+        clause = bare_clause('x', 0.0)
         found = strict_verdict(low, low + 0.2, 0.0, 1.0)
         finding = ClauseFinding(clause, low, low, low + 0.2, found, strict=found)
         return Verdict('fig4', statement, policy, (finding,), (None,), primary)

@@ -197,7 +197,7 @@ def test_herd_runs_a_stack_in_one_process_and_ends_by_itself(graph: Graph) -> No
 @pytest.mark.parametrize(
     ('words', 'printed'),
     [
-        (['--controller', 'sheepdog'], "'sheepdog': expected one of drover"),
+        (['--controller', 'sheepdog'], "'sheepdog': expected one of composite, drover"),
         (['--shepherds', '0'], 'n_shepherds is 0: expected a value in'),
         (['--sheep', '-1'], 'n_sheep is -1'),
     ],

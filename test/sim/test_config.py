@@ -36,7 +36,7 @@ CLASSES: list[type[Config]] = [
     *(controller.config_type for controller in CONTROLLERS.values()),
 ]
 OPTIONS = [(c, f) for c in CLASSES for f in fields(c) if 'doc' in f.metadata]
-FREE_TEXT = {'checkpoint'}  # options that any text may be given to
+FREE_TEXT = {'checkpoint', 'drive', 'hold'}  # options that any text may be given to
 
 
 def message(config: Any, **values: Any) -> str:
