@@ -96,8 +96,8 @@ def run(make_node: Callable[..., Any], name: str, doc: str, options: Any = None)
     """
     Run a node as a process; return its exit code, that of node.end() after a stop signal.
 
-    options is a dataclass filled from the command line, the argument of make_node. Of several nodes
-    that this returns, the first one decides when and how all end.
+    options is a dataclass filled from the command line, the argument of make_node. Of
+    several nodes that this returns, the first one decides when and how all end.
     """
     # rclpy's own handlers would end the context in the midst of a callback that publishes
     received: list[int] = []

@@ -53,8 +53,8 @@ from shepherd_ros.paper.stopping import is_certain
 from shepherd_ros.paper.value_verdicts import AREAS, BEHIND, verdicts_on_values
 from shepherd_ros.paper.verdict_tables import counts_by_figure
 from shepherd_ros.paper.verdicts import (
-    counts,
     bare_clause,
+    counts,
     Verdict,
     verdicts_on_curves,
     verdicts_on_samples,
