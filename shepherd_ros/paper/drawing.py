@@ -23,12 +23,15 @@ SPARE_STYLES = [
     (('#000000', '#009E73', '#E69F00', '#56B4E9', '#666666')[k % 5], line, marker)
     for k, (line, marker) in enumerate(
         zip(
-            ('-', '--', ':', '-.', (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)), (0, (8, 2)), (0, (3, 5))),
-            'ovP*X<p>',
+            (
+                '-', '--', ':', '-.', (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)), (0, (8, 2)),
+                (0, (3, 5)), (0, (5, 2, 1, 2)), (0, (2, 2)), (0, (10, 3)),
+            ),
+            'ovP*X<p>hd8',
             strict=True,
         )
     )
-]
+]  # fmt: skip
 
 
 def style_of(name: str, names: Iterable[str]) -> dict[str, Any]:

@@ -181,7 +181,8 @@ def test_shipped_checkpoints_say_how_they_were_made() -> None:
         record = read_checkpoint_metadata(checkpoint_file(name))[1]
         for key in ('command', 'seed', 'wall_time_s', 'code'):
             assert key in record
-        run = DaggerConfig if 'dagger' in record['command'] else PPORunConfig
+        last = record['command'].split(' && ')[-1]
+        run = DaggerConfig if 'dagger' in last else PPORunConfig
         run.from_dict(record['config']['run'])  # every option by the name that it has now
         PolicyConfig.from_dict(record['config']['policy'])
 
