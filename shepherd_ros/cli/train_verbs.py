@@ -171,7 +171,10 @@ def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
     config = configured(kind, arguments.run_)
     torch.manual_seed(arguments.run_.seed)
     policy = _policy(arguments).to(arguments.device)
-    held = stages(policy.config, config.anneal) if kind is PPORunConfig else [policy.config]
+    assert isinstance(config, PPORunConfig | DaggerConfig | BCConfig)
+    held = [policy.config]
+    if isinstance(config, PPORunConfig):
+        held = stages(policy.config, config.anneal)
     for deviation in {stage.timing(config.task.dt).deviation: None for stage in held}:
         print(f'the policy {deviation}' if deviation else '', end='\n' * bool(deviation))
     record = {
