@@ -58,10 +58,9 @@ class FlockSim(ShepherdNode):
         self.patience: float = self.option(
             'silence_warning', 2.0, 'lockstep: name a silent shepherd after [s]', low=0.1
         )
-        self.number, self.now_ns = -1, 0
+        self.number, self.now_ns, self.last_published = -1, 0, 0.0
         self.dt_ns = round(self.world.dt * 1e9)
         self.pending_goal: Tensor | None = None
-        self.last_published = 0.0
         self.pacing = Pacing(self.wall())
         self.output = WorldOutput(self)
         self.flock_commands = FlockCommands(self, self.on_answers)

@@ -15,11 +15,10 @@ def spawn(config: WorldConfig, seed: Tensor, dtype: torch.dtype = torch.float32)
     """
     Return the first state of the episodes with these seeds; (...) int64.
 
-    The flock's center lies in a random direction from the goal, the shepherds' center (or, with
-    shepherds_around, that of each) in a random direction from the flock's (from its first
-    group's, if it has several); each agent is a signed normal distance from its center, in a
-    random direction. The k-th agent of a seed starts in the same place whatever the size of its
-    group, given the number of groups.
+    The flock's center lies in a random direction from the goal, the shepherds' center (that of
+    each with shepherds_around) in one from the flock's (from that of its first group); each agent
+    is a signed normal distance from its center, in a random direction. The k-th agent of a seed
+    starts in the same place whatever the size of its group, given the number of groups.
     """
     device, zero = seed.device, torch.zeros_like(seed)
     n, m, start = config.n_sheep, config.n_shepherds, config.spawn
@@ -46,9 +45,8 @@ def spawn(config: WorldConfig, seed: Tensor, dtype: torch.dtype = torch.float32)
     team = groups[..., :1, :] + places(Stream.SHEPHERD_PLACE, *limits, centers)
     extra = uniform(seed, zero, Stream.GOAL_RADIUS, index_zero[:1], torch.float64)[..., 0]
     fewest = start.fewest_shepherds or m
-    spread = uniform(seed, zero, Stream.N_SHEPHERDS, index_zero[:1], torch.float64)
-    size = fewest + (spread * (m - fewest + 1)).long()  # (..., 1)
-    shepherd_mask = torch.arange(m, device=device) < size
+    spread = uniform(seed, zero, Stream.N_SHEPHERDS, index_zero[:1], torch.float64)  # (..., 1)
+    shepherd_mask = torch.arange(m, device=device) < fewest + (spread * (m - fewest + 1)).long()
     shepherds = team + around(Stream.SHEPHERD_POSITION, m)
     goal = torch.zeros((*seed.shape, 2), dtype=dtype, device=device)
     return WorldState(
