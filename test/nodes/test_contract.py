@@ -25,7 +25,11 @@ OF_ROS = {'/rosout', '/parameter_events', '/tf'}  # /tf where tf2_msgs is instal
 OF_RCLPY = {'use_sim_time', 'start_type_description_service'}
 N_SHEPHERDS = 3
 NODES = {  # node -> executable, parameters, shepherds that it serves
-    'flock_sim': ('flock_sim', {'n_sheep': 20, 'wait_for_scans': True, 'rate': 20.0}, [0, 1, 2]),
+    'flock_sim': (
+        'flock_sim',
+        {'n_sheep': 20, 'wait_for_scans': True, 'rate': 20.0, 'goal_speed': 0.01},
+        [0, 1, 2],
+    ),
     'lidar': ('lidar', {}, [0]),
     'lidar_b': ('lidar', {'shepherd_ids': [1, 2]}, [1, 2]),
     'strombom': ('strombom', {}, [0, 1, 2]),

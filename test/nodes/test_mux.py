@@ -309,7 +309,7 @@ def test_a_world_without_stamps_is_driven_and_another_type_is_named(graph: Graph
     sim = graph.start('flock_sim', stamped=False, **SMALL)
     messages = drivers(graph)
     mux = graph.host('mux', default='strombom', stamped=False)
-    graph.host('strombom', source='strombom', stamped=False)
+    graph.start('strombom', source='strombom', stamped=False)
     until_driven(graph, messages, 'strombom', 'strombom')
     graph.until(lambda: messages[-1].step > 3, 'steps')
     assert mux.diagnose()[0].level == OK

@@ -101,13 +101,12 @@ def test_a_freshly_started_python_ends_with_zero_on_two_signals(graph: Graph) ->
 
 def test_a_signal_that_comes_as_the_interpreter_ends_does_not_change_the_exit_code() -> None:
     code = (
-        'import os, sys\n'
+        'import atexit, os, sys\n'
         'from shepherd_ros.ros.runtime import run, STOP_SIGNALS\n'
-        'class Last:\n'
-        '    def __del__(self, kill=os.kill, me=os.getpid(), stops=STOP_SIGNALS):\n'
-        '        for number in stops: kill(me, number)\n'
-        '        os.write(1, b"sent")\n'
-        'last = Last()\n'
+        '@atexit.register\n'
+        'def last():\n'
+        '    for number in STOP_SIGNALS: os.kill(os.getpid(), number)\n'
+        '    os.write(1, b"sent")\n'
         "sys.argv = ['idle', 'now']\n"
         "sys.exit(run(None, 'idle', ''))\n"
     )
@@ -179,7 +178,7 @@ def test_help_into_a_closed_pipe_is_quiet(graph: Graph) -> None:
 def test_help_does_not_disturb_a_running_world(graph: Graph) -> None:
     output = graph.collect('episode', String, LATCHED)
     track = graph.track()
-    sim = graph.host('flock_sim', n_sheep=20, seed=5)
+    sim = graph.host('flock_sim', n_sheep=20, seed=5, episode_steps=100_000)
     graph.host('idle')
     graph.until(lambda: output and int(sim.state.step) > 3, 'the world runs')
     process = graph.start_words('flock_sim', ['--help'])
