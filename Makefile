@@ -115,7 +115,7 @@ $(BIN)/shepherd evaluate paper $(SHORT) --preset $(1) --seed 3000 --workers $(WO
 
 endef
 
-paper: setup  # all statements of the paper: an hour or two; out/paper/results/README.md
+paper: setup  # all statements of the paper: hours; out/paper/results/README.md
 	$(foreach preset,$(PRESET),$(call evaluate_preset,$(preset)))
 	$(BIN)/shepherd figures $(PAPER)/rows --presets $(PRESET) --report --curves $(CURVES) \
 	  --out $(PAPER)/results --command 'make paper$(if $(QUICK), QUICK=1)'

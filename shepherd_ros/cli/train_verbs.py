@@ -175,8 +175,9 @@ def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
     held = [policy.config]
     if isinstance(config, PPORunConfig):
         held = stages(policy.config, config.anneal)
-    for deviation in {stage.timing(config.task.dt).deviation: None for stage in held}:
-        print(f'the policy {deviation}' if deviation else '', end='\n' * bool(deviation))
+    deviations = (stage.timing(config.task.dt).deviation for stage in held)
+    for deviation in dict.fromkeys(filter(None, deviations)):
+        print(f'the policy {deviation}')
     record = {
         'command': arguments.command,
         'code': commit(),

@@ -84,7 +84,12 @@ class BCTrainer:
     eval_freq = 1
 
     def __init__(self, policy: Policy, places: Sequence[Path], config: BCConfig) -> None:
-        """Start with the first epoch."""
+        """Start with the first epoch; ConfigError for a policy with two modes."""
+        if policy.config.network.modes > 1:
+            raise ConfigError(
+                f'modes is {policy.config.network.modes}: expected 1 to learn from bags, whose '
+                'commands do not say whether they drive or hold; train dagger teaches both'
+            )
         self.policy, self.places, self.config = policy, places, config
         self.dtype = fast_dtype()
         self.examples = Examples(policy, config.buffer_size, self.dtype)

@@ -14,8 +14,9 @@ PRIMARY = {'third': {'strombom': 'policy:third_strombom', 'reynolds': 'policy:th
 
 
 def has_critic(policy: str) -> bool:
-    """Return whether a policy's critic was trained: only PPO does that."""
-    return 'ppo' in training_of(policy)
+    """Return whether a policy's own critic was trained: only PPO does that, from scans."""
+    update = training_of(policy).get('ppo')
+    return isinstance(update, dict) and update.get('critic_input', 'scans') == 'scans'
 
 
 def trained_on(policy: str) -> set[str]:

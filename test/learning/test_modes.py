@@ -18,6 +18,7 @@ from shepherd_ros.learning.ppo import PPOConfig, PPOLearner
 from shepherd_ros.learning.ppo_rollout import log_prob, Rollout
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.teachers import make_teacher
+from shepherd_ros.learning.train_bc import BCConfig, BCTrainer
 from shepherd_ros.policy.checkpoint import load_policy, save_policy
 from shepherd_ros.policy.network import Actor, NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
@@ -179,6 +180,11 @@ def test_two_modes_ask_for_a_composite_teacher() -> None:
     config = DaggerConfig(task=TASK, worlds=1, groups=1)
     with pytest.raises(ConfigError, match="teacher is 'drover': expected composite:DRIVE,HOLD"):
         LabelledWorlds(config, policy_of(), 0, torch.float32)
+
+
+def test_bags_do_not_teach_two_modes() -> None:
+    with pytest.raises(ConfigError, match='modes is 2: expected 1 to learn from bags'):
+        BCTrainer(policy_of(), [], BCConfig())
 
 
 def test_a_policy_that_teaches_decides_at_every_step(tmp_path: Path) -> None:
