@@ -117,10 +117,10 @@ def test_parameters_of_the_world_hold_from_the_next_episode_on(graph: Graph, sim
 def test_another_time_step_holds_from_the_next_episode_on_and_begins_only_one(
     graph: Graph,
 ) -> None:
-    sim = graph.host('flock_sim', n_sheep=5, n_shepherds=1, episode_steps=40, rate=100.0)
+    output = graph.collect('episode', String, LATCHED)
+    sim = graph.host('flock_sim', n_sheep=5, n_shepherds=1, episode_steps=40, rate=4.0)
     graph.host('idle')
     graph.until(lambda: int(sim.state.step) > 2, 'the world moves')
-    output = graph.collect('episode', String, LATCHED)
     graph.set_parameter('flock_sim', 'dt', 0.25)
     graph.set_parameter('flock_sim', 'rate', 0.0)
     episodes: dict[int, Episode] = {}
