@@ -14,7 +14,7 @@ STEPS ?= 1000
 OUT ?= out/demo
 PORT ?= 8080
 
-.PHONY: help demo console test setup generate docs lint train paper table beyond bench bench-learning clean browser
+.PHONY: help demo console test test-system setup generate docs lint train paper table beyond bench bench-learning clean browser
 .DEFAULT_GOAL := demo
 
 demo: $(VENV)/.demo  # a learned policy herds 100 sheep; pictures in out/demo/
@@ -26,8 +26,13 @@ console: $(VENV)/.demo  # everything runs until Ctrl-C, with a page in the brows
 	  --flock $(FLOCK) --preset $(PRESET) --seed $(SEED) --steps $(STEPS) --port $(PORT)
 
 # Three workers also on two cores, as tests of nodes wait; what one compiles serves all.
-test: setup browser  # all tests
-	env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n 3 --dist loadgroup
+PYTEST := env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n 3 --dist loadgroup
+
+test: setup browser  # all tests but those of whole systems
+	$(PYTEST) -m 'not system'
+
+test-system: setup browser  # builds, commands of the manual, pages in a browser, trainings, signals
+	$(PYTEST) -m system
 
 help:  # this list
 	@sed -n 's/^\([a-z-]*\):[^#]*  # /\1: /p' $(MAKEFILE_LIST)

@@ -44,18 +44,23 @@ def _own_files(name: str, beside: Path) -> list[Path] | None:
 
 
 @cache
+def _edges(path: Path) -> tuple[set[str], list[Path]]:
+    """Return packages of others and own files that a file names in its imports."""
+    files = {name: _own_files(name, path.parent) for name in _modules(path)}
+    others = {name.partition('.')[0] for name, own in files.items() if own is None}
+    return others, [*dict.fromkeys(file for own in files.values() for file in own or ())]
+
+
+@cache
 def needed(path: Path) -> frozenset[str]:
     """Return the packages of others that importing a file imports, also through our own files."""
     found: set[str] = set()
     seen, waiting = {path}, [path]
     while waiting:
-        file = waiting.pop()
-        for name in _modules(file):
-            own = _own_files(name, path.parent)
-            if own is None:
-                found.add(name.partition('.')[0])
-            waiting += [other for other in own or () if other not in seen]
-            seen |= set(own or ())
+        others, own = _edges(waiting.pop())
+        found |= others
+        waiting += [file for file in own if file not in seen]
+        seen.update(own)
     return frozenset(found)
 
 

@@ -325,7 +325,7 @@ def test_hooks_and_workflow_are_what_they_seem() -> None:
     assert ids == {'ruff-check', 'ruff-format', 'codespell', 'large-files'}
     workflow = yaml.safe_load((ROOT / '.github/workflows/ci.yml').read_text(encoding='utf-8'))
     steps = workflow['jobs']['test']['steps']
-    commands = [f'make {target}' for target in ('lint', 'docs', 'test')]
+    commands = [f'make {target}' for target in ('lint', 'docs', 'test', 'test-system')]
     assert [step['run'] for step in steps if 'run' in step] == commands
     script = (ROOT / '.ci/run').read_text(encoding='utf-8').splitlines()
     assert [line for line in script if line.startswith('make')] == commands

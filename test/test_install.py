@@ -18,6 +18,7 @@ from shepherd_ros.controllers import CONTROLLERS
 
 rclpy = pytest.importorskip('rclpy')
 pytestmark = [
+    pytest.mark.system,
     pytest.mark.xdist_group('install'),  # one worker builds, once
     pytest.mark.skipif(
         not Path(rclpy.__file__).is_relative_to(sys.prefix), reason='needs rclpy from PyPI'

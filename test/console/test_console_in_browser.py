@@ -25,7 +25,10 @@ from shepherd_ros.wire.episode import Episode
 from std_msgs.msg import String
 from view.browser import chromium, PATIENCE
 
-pytestmark = pytest.mark.xdist_group('browser')  # one browser for all
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.xdist_group('browser'),  # one browser for all
+]
 RATE = 10.0  # steps per second
 JOB = 110.0  # [s] for what a process with torch does, on a busy machine
 SPEED = 1.0  # [m/s] of a shepherd

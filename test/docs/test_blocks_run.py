@@ -7,6 +7,7 @@ import subprocess
 from manual_blocks import blocks, ROOT, RUN, script
 import pytest
 
+pytestmark = pytest.mark.system
 PAGES = [page for page in RUN if any(block.runs for block in blocks(page))]
 
 

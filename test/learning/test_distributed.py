@@ -35,7 +35,10 @@ TINY = (
     '--sheep-max 5 --shepherds-max 2 --episode-steps 48'
 )
 
-pytestmark = pytest.mark.xdist_group('distributed')  # one training for all
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.xdist_group('distributed'),  # one training for all
+]
 TIMES = ('seconds', 'seconds_left', 'samples_per_second', 'rollout_share')
 
 

@@ -28,6 +28,7 @@ from shepherd_ros.wire.episode import Episode
 from std_msgs.msg import String
 from tornado.httpclient import HTTPClientError
 from tornado.websocket import WebSocketClosedError
+from view.browser import chromium, Reader
 
 SLOW = pytest.mark.timeout(240)  # processes that import torch
 
@@ -116,6 +117,25 @@ def test_a_page_gets_what_the_world_says(shared_graph: Graph, page: TestPage) ->
     assert steps == sorted(steps)
     assert [frame.number for frame in page.frames] == list(range(1, len(steps) + 1))
     assert set(page.order) - {'frame'} <= MESSAGE_KINDS.keys()
+
+
+def test_a_browser_draws_a_state(
+    shared_graph: Graph, console: ConsoleNode, tmp_path: Path
+) -> None:
+    track, driver = shared_graph.track(), chromium(tmp_path)
+    try:
+        reader = Reader(driver)
+        reader.open(console.address)
+        shared_graph.until(lambda: reader.run('return LIVE.frame !== null'), 'a state is drawn')
+        time_s, sheep = reader.run('const {time, sheep} = LIVE.frame; return [time, [...sheep]]')
+        ns = round(time_s * 1e9)
+        shared_graph.until(lambda: ns in track.stamps, 'the same state')
+        np.testing.assert_allclose(np.reshape(sheep, (-1, 2)), track.sheep(ns).numpy())
+        assert len(reader.painted()[1]) == 2
+        assert reader.complaints() == []
+    finally:
+        shared_graph.forget(track)
+        driver.quit()
 
 
 def test_a_late_page_gets_what_is_latched(shared_graph: Graph, page: TestPage) -> None:
@@ -513,6 +533,7 @@ def children_of(parent: int) -> list[int]:
     return pids
 
 
+@pytest.mark.system
 def test_one_command_starts_everything_and_ends_it(graph: Graph, tmp_path: Path) -> None:
     words = '--controller idle --standby strombom --sheep 8 --shepherds 2 --port 0 --record-dir'
     process = graph.start_words('shepherd', ['console', *words.split(), str(tmp_path)])

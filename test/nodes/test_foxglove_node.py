@@ -24,7 +24,10 @@ from tornado.websocket import websocket_connect, WebSocketClientConnection
 SOURCES = Path(__file__).parent / 'foxglove_decoders'
 PROTOCOL = 'foxglove.sdk.v1'
 TEAM, SHEEP, RAYS = 2, 5, 512
-pytestmark = pytest.mark.xdist_group('foxglove')  # one stack for all
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.xdist_group('foxglove'),  # one stack for all
+]
 
 
 class Client:

@@ -26,7 +26,10 @@ from shepherd_ros.sim.presets import world_preset
 from shepherd_ros.sim.rollout import EnvConfig
 from std_srvs.srv import SetBool
 
-pytestmark = pytest.mark.xdist_group('replay')  # one worker records the runs, once
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.xdist_group('replay'),  # one worker records the runs, once
+]
 
 STEPS, SEED, NOISE, TEAM = 25, 3, 0.3, 2
 SMALL = {'n_sheep': 10, 'n_shepherds': TEAM, 'episode_steps': STEPS}

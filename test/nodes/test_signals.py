@@ -12,6 +12,7 @@ from nodes.process import BIN, EXECUTABLES, Graph, LATCHED, Process
 import pytest
 from std_msgs.msg import String
 
+pytestmark = pytest.mark.system
 LEFT = 'DDS did not let go within 10 s: left it\n'
 STACK = ('flock_sim', 'lidar', 'metrics', 'strombom')
 

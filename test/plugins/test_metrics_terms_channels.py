@@ -27,7 +27,10 @@ from std_srvs.srv import SetBool
 FOLDER = Path(__file__).parent
 FILES = ','.join(str(FOLDER / name) for name in ('near.py', 'path.py', 'posts.py'))
 STEPS = 12
-pytestmark = pytest.mark.xdist_group('plugins')  # one training and one bag for all
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.xdist_group('plugins'),  # one training and one bag for all
+]
 ENVIRONMENT = """
 from dataclasses import replace
 from shepherd_ros.registry import load_plugins

@@ -7,6 +7,9 @@ import sys
 
 from cli.test_train_verbs import LESSONS, NETWORK, TINY
 from plugins.verbs import run
+import pytest
+
+pytestmark = pytest.mark.system
 
 HERE = Path(__file__).parent
 PLUGINS = ','.join(str(HERE / f'{name}.py') for name in ('lazy', 'lead', 'wind', 'near'))

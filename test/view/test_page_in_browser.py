@@ -20,7 +20,10 @@ from shepherd_ros.view.scene import GOAL_FILL, SHEEP_COLOR, shepherd_color
 from view.browser import chromium, Reader
 from view.pages import curves, herding, scans, wandering
 
-pytestmark = pytest.mark.xdist_group('browser')  # one browser for all
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.xdist_group('browser'),  # one browser for all
+]
 HITS = [channel.hit for channel in CHANNELS.values()]
 LAST = 200  # step
 AREA = """
