@@ -329,10 +329,15 @@ def test_hooks_and_workflow_are_what_they_seem() -> None:
     assert [step['run'] for step in steps if 'run' in step] == commands
     script = (ROOT / '.ci/run').read_text(encoding='utf-8').splitlines()
     assert [line for line in script if line.startswith('make')] == commands
-    lint = (ROOT / 'Makefile').read_text(encoding='utf-8').partition('\nlint: ')[2]
-    rules = lint.partition('\n\n')[0]
+    makefile = (ROOT / 'Makefile').read_text(encoding='utf-8')
+
+    def rules(target: str) -> str:
+        return makefile.partition(f'\n{target}: ')[2].partition('\n\n')[0]
+
     for linter in ('ruff check', 'ruff format --check', 'lint-imports', 'mypy', 'codespell'):
-        assert f'/{linter}' in rules, linter
+        assert f'/{linter}' in rules('lint'), linter
+    assert "-m 'not system'" in rules('test')
+    assert '-m system' in rules('test-system')
 
 
 SAME_ROLE = {'main'}  # of an executable
