@@ -112,8 +112,8 @@ setup(
     python_requires='>=3.11',
     entry_points={
         'console_scripts': [
-            'shepherd = shepherd_ros.cli:main',
-            *(f'{name} = {NAME}.nodes.executables:{name}' for name in EXECUTABLES),
+            'shepherd = shepherd_ros.entry_points:shepherd',
+            *(f'{name} = {NAME}.entry_points:{name}' for name in EXECUTABLES),
         ],
     },
 )

@@ -2,6 +2,6 @@
 
 import sys
 
-from shepherd_ros.cli import main
+from shepherd_ros.entry_points import shepherd
 
-sys.exit(main())
+sys.exit(shepherd())

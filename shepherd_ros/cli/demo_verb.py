@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import isnan
 import os
 from pathlib import Path
 import time
@@ -20,8 +19,11 @@ from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.experiments.setting_arguments import OneSetting
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
     from shepherd_ros.experiments.setting import Setting
     from shepherd_ros.nodes.episode_probe import EpisodeProbe
+    from shepherd_ros.sim.state import WorldState
 
 DEMO_TIMEOUT = 60.0  # [s] wall time without any news before giving up
 
@@ -71,10 +73,9 @@ class Demo(OneSetting):
 
         with running(self.out / 'logs') as processes, open_episode_probe() as (probe, spin):
             self._herd(stack, setting.steps, processes, probe, spin)
-        console.print(self._table(probe.metrics))
-        if any(isnan(value) for value in probe.metrics.values()):
-            console.print('nan: the node metrics has not heard every state')
-        self._draw(setting, probe, console)
+        times, states = probe.trajectory()
+        console.print(self._table(states, setting.steps))
+        self._draw(setting, probe, times, states, console)
         return 0
 
     def _check(self) -> Setting:
@@ -156,23 +157,31 @@ class Demo(OneSetting):
                 )
 
     @staticmethod
-    def _table(values: dict[str, float]) -> Table:
-        """Return the metrics as a table, the paper's five first."""
+    def _table(states: WorldState, steps: int) -> Table:
+        """Return the metrics of all states (T) as a table, the paper's five first."""
+        from shepherd_ros.recordings.replay import metrics_over_time
         from shepherd_ros.sim.metrics import shown
 
+        curves = metrics_over_time(states, steps)
         table = Table(title='Metrics of the episode')
         for column in ('metric', 'value', 'unit', 'meaning'):
             table.add_column(column, justify='right' if column == 'value' else 'left')
         for metric in shown('summary'):
-            value = f'{values[metric.name]:.4g}'
+            value = f'{curves[metric.name][-1]:.4g}'
             table.add_row(metric.name, value, metric.unit, metric.meaning)
         return table
 
-    def _draw(self, setting: Setting, probe: EpisodeProbe, console: Console) -> None:
-        """Write picture and animation."""
+    def _draw(
+        self,
+        setting: Setting,
+        probe: EpisodeProbe,
+        times: NDArray[np.float64],
+        states: WorldState,
+        console: Console,
+    ) -> None:
+        """Write picture and animation of the states (T) at times (T,) s."""
         from shepherd_ros.view.track import EpisodeTrack
 
-        times, states = probe.trajectory()
         track: Any = EpisodeTrack(
             times=times,
             sheep=states.sheep.numpy(),

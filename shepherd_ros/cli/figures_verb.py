@@ -79,7 +79,7 @@ class Figures:
 
             pictures['fig3'] = draw_curves(curves)
         if maps:
-            from shepherd_ros.paper.figures import draw_values
+            from shepherd_ros.paper.value_picture import draw_values
 
             pictures['fig9'] = draw_values({name: own[0] for name, own in maps.items()})
         for name, figure in pictures.items():

@@ -1,5 +1,5 @@
 """
-The main functions of executables by name, as `shepherd_ros.nodes.executables:flock_sim`.
+The main functions of executables by name.
 
 The imports of one take seconds, in which Ctrl-C ends it at once and without a traceback.
 """

@@ -26,6 +26,8 @@ class MetricsNode(ShepherdNode):
     Of an episode that is heard only in part, metrics that count over time are NaN.
     """
 
+    backlog = 10_000  # a busy machine lets it run late, and it needs every state
+
     def __init__(self, **kwargs: Any) -> None:
         """Create the node and its publishers."""
         super().__init__('metrics', **kwargs)

@@ -13,6 +13,7 @@ __all__ = [
     'report',
     'stopping',
     'summary',
+    'value_picture',
     'value_verdicts',
     'verdict_picture',
     'verdict_tables',

@@ -9,7 +9,9 @@ from typing import Any
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 import numpy as np
 from shepherd_ros.experiments.bootstrap import Array, mean_interval
 from shepherd_ros.experiments.methods import kind_of
@@ -17,6 +19,8 @@ from shepherd_ros.policy.checkpoint import shipped_checkpoints
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.view.picture import write_small_png
 from shepherd_ros.view.scene import FAINT, GRID, INK
+
+MAP = 'cividis'  # grows lighter evenly, for colour-blind readers as well
 
 # colour (of Okabe and Ito), line and marker of policies and others without a style of their own
 SPARE_STYLES = [
@@ -76,6 +80,12 @@ def tidy(axes: Axes, x: str, y: str, title: str = '') -> None:
     axes.set_axisbelow(True)
     for side in ('top', 'right'):
         axes.spines[side].set_visible(False)
+
+
+def label_contours(axes: Axes, lines: ContourSet, size: float) -> None:
+    """Write the values of contours on them, [pt] high, so that they are seen on any colour."""
+    for artist in (lines, *axes.clabel(lines, fmt='%g', fontsize=size)):
+        artist.set_path_effects([withStroke(linewidth=2.0, foreground=INK)])
 
 
 def direct_labels(

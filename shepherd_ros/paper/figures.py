@@ -8,19 +8,18 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
-from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 import numpy as np
 from shepherd_ros.experiments.bootstrap import Array
 from shepherd_ros.experiments.methods import label
 from shepherd_ros.experiments.samples import Samples
-from shepherd_ros.experiments.value_map import HALF_SIDE, ValueMap
 from shepherd_ros.paper.curves import Curve, smoothed
 from shepherd_ros.paper.drawing import (
     axis_label,
     direct_labels,
+    label_contours,
     limit,
+    MAP,
     mean_and_bars,
     new_figure,
     style_of,
@@ -35,7 +34,6 @@ AXES = {
     'noise': 'noise on positions [m]',
     'repulsion': 'repulsion rho_a [1]',
 }
-MAP = 'cividis'  # grows lighter evenly, for colour-blind readers as well
 MAP_LEVELS = (0.5, 0.9)  # of a share, where contours are drawn
 
 
@@ -144,9 +142,7 @@ def _map(axes: Axes, grid: Array, scale: Normalize, levels: Sequence[float] | Ar
     axes.imshow(grid, cmap=MAP, norm=scale, aspect='auto', origin='lower')
     crossed = [level for level in levels if np.nanmin(grid) < level < np.nanmax(grid)]
     if crossed and min(grid.shape) > 1:
-        lines = axes.contour(grid, crossed, colors='white', linewidths=1.0)
-        for artist in (lines, *axes.clabel(lines, fmt='%g', fontsize=7)):
-            artist.set_path_effects([withStroke(linewidth=2.0, foreground=INK)])
+        label_contours(axes, axes.contour(grid, crossed, colors='white', linewidths=1.0), 7)
 
 
 def draw_curves(curves: Sequence[Curve]) -> Figure:
@@ -173,38 +169,6 @@ def draw_curves(curves: Sequence[Curve]) -> Figure:
     direct_labels(axes, ends, looks, gap=0.14)
     figure.suptitle(
         'Figure 3: training; n trainings each, the paper trains for 100 million samples',
-        fontsize=10,
-    )
-    return figure
-
-
-def draw_values(maps: dict[str, ValueMap]) -> Figure:
-    """Return the value of a third shepherd's place by policy (figure 9); brighter is better."""
-    figure, panels = new_figure(1, len(maps), 3.8, 2.9)
-    halo = [withStroke(linewidth=2, foreground='black')]
-    for (name, critic), axes in zip(maps.items(), panels.flat, strict=True):
-        extent = (-HALF_SIDE, HALF_SIDE, -HALF_SIDE, HALF_SIDE)
-        picture = axes.imshow(critic.values, origin='lower', extent=extent, cmap=MAP)
-        axes.contour(critic.values, 5, extent=extent, colors='white', linewidths=0.5)
-        axes.add_patch(Circle((0, 0), critic.goal_radius, fill=False, color='white', linewidth=2))
-        axes.plot(*critic.sheep.T, 'o', color='white', markeredgecolor='black', markersize=5)
-        axes.plot(*critic.shepherds.T, '^', color='black', markeredgecolor='white', markersize=9)
-        axes.plot(*critic.best, '*', color='white', markeredgecolor='black', markersize=13)
-        for text, points in (('goal', np.zeros((1, 2))), ('sheep', critic.sheep),
-                             ('two shepherds', critic.shepherds)):  # fmt: skip
-            below = points.mean(axis=0) - (
-                0,
-                3.5 if text != 'goal' else critic.goal_radius + 1.5,
-            )
-            axes.text(*below, text, color='white', ha='center', va='center', fontsize=8,
-                      path_effects=halo)  # fmt: skip
-        tidy(axes, 'x [m]', 'y [m]', label(name))
-        axes.grid(visible=False)
-        bar = figure.colorbar(picture, ax=axes, shrink=0.8)
-        bar.set_label("critic's value [1]", fontsize=8)
-        bar.ax.tick_params(labelsize=7)
-    figure.suptitle(
-        'Figure 9: value of a third shepherd (n = 1 start; star: best mean over 5 x 5 places)',
         fontsize=10,
     )
     return figure

@@ -28,6 +28,7 @@ from shepherd_ros.view.scene import (
     SHEEP_COLOR,
     sheep_size,
     shepherd_color,
+    shepherd_marker,
 )
 from shepherd_ros.view.track import _Array, EpisodeTrack
 
@@ -131,10 +132,10 @@ def draw_ways(axes: Axes, track: EpisodeTrack) -> list[Line2D]:
     """Draw the ways of flock and shepherds with marks of time; return the legend's handles."""
     marks, center = time_marks(track.times), track.center
     for shepherd, path in enumerate(track.shepherds.swapaxes(0, 1)):
-        color = shepherd_color(shepherd)
+        color, marker = shepherd_color(shepherd), shepherd_marker(shepherd)
         axes.add_collection(faded(path, color))
-        axes.plot(*path[marks].T, 'o', ms=2.8, color=color, zorder=3)
-        axes.plot(*path[:1].T, 'o', ms=6, mfc='white', mec=color, mew=1.5, zorder=4)
+        axes.plot(*path[marks].T, marker, ms=5.5, mfc=color, mec='white', mew=0.6, zorder=3.5)
+        axes.plot(*path[:1].T, marker, ms=6.5, mfc='white', mec=color, mew=1.5, zorder=4)
         top = {'zorder': 10 + 0.01 * shepherd}
         axes.plot(*path[-1:].T, 'o', ms=12, mfc=color, mec='white', mew=1.2, **top)
         axes.text(*path[-1], str(shepherd), **BADGE, **top)

@@ -27,6 +27,7 @@ SHEPHERD_COLORS = (
     '#5B3A8C',
     '#8A5A2B',
 )  # repeated in larger teams
+SHEPHERD_MARKERS = 'os^DvPX'  # along their ways, for readers in grey
 BADGE = {  # a shepherd's number, in its disc
     'color': 'white',
     'fontsize': 7,
@@ -44,6 +45,11 @@ ASPECTS = (0.9, 1.7)  # narrowest and widest plot, width / height
 def shepherd_color(shepherd: int) -> str:
     """Return the colour of a shepherd."""
     return SHEPHERD_COLORS[shepherd % len(SHEPHERD_COLORS)]
+
+
+def shepherd_marker(shepherd: int) -> str:
+    """Return the marker of a shepherd's way."""
+    return SHEPHERD_MARKERS[shepherd % len(SHEPHERD_MARKERS)]
 
 
 def sheep_size(n_sheep: int) -> float:

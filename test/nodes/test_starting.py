@@ -2,6 +2,8 @@
 
 from pathlib import Path
 import signal
+import subprocess
+import sys
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,6 +15,31 @@ from shepherd_ros.ros import runtime
 from shepherd_ros.ros.runtime import init_rclpy
 
 ROOT = Path(__file__).resolve().parents[2]
+# runs a command and sends Ctrl-C at the import of a number, counted from the first of ours
+CUT = """
+import itertools, os, signal, sys
+count, started = itertools.count(), []
+def cut(event, arguments):
+    if event == 'import':
+        started.extend(arguments[:1] if arguments[0] == 'shepherd_ros.entry_points' else [])
+        if started and next(count) == {number}:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.addaudithook(cut)
+sys.argv[1:] = {words}
+from shepherd_ros.entry_points import {command}
+sys.exit({command}())
+"""
+
+
+@pytest.mark.parametrize('number', [2, 9, 40])
+@pytest.mark.parametrize('words', [['metrics'], ['shepherd', 'demo']])
+def test_ctrl_c_at_any_import_ends_a_command_without_a_word(
+    words: list[str], number: int, tmp_path: Path
+) -> None:
+    code = CUT.format(number=number, command=words[0], words=words[1:])
+    done = subprocess.run([sys.executable, '-c', code], cwd=tmp_path, capture_output=True)
+    assert done.returncode in (-signal.SIGINT, 130)
+    assert done.stdout + done.stderr == b''
 
 
 @pytest.mark.parametrize('name', sorted([*executables.FILES, 'pierson']))

@@ -20,11 +20,12 @@ from shepherd_ros.experiments.setting import canonical_setting
 from shepherd_ros.experiments.value_map import ValueMap
 from shepherd_ros.paper.curves import Curve
 from shepherd_ros.paper.drawing import save, spaced, style_of
-from shepherd_ros.paper.figures import draw, draw_curves, draw_values
+from shepherd_ros.paper.figures import draw, draw_curves
 from shepherd_ros.paper.judging import judge
 from shepherd_ros.paper.primary import primary_policies
 from shepherd_ros.paper.report import front_page
 from shepherd_ros.paper.summary import compare_samples, draw_summary, QUESTION
+from shepherd_ros.paper.value_picture import draw_values
 from shepherd_ros.paper.verdict_picture import draw_verdicts
 from shepherd_ros.policy.checkpoint import shipped_checkpoints
 
@@ -118,8 +119,10 @@ def test_trainings_and_values_have_units_and_labels() -> None:
     )
     assert {text.split('\n')[0] for text in texts(figure)} == {'a (n = 2)', 'b (n = 2)'}
     place = np.array([[1.0, 2.0], [3.0, 4.0]])
-    values = draw_values({'policy:general': ValueMap(np.eye(41), place, place, 4.0)})
+    slope = np.tile(np.linspace(0.0, 1.0, 41), (41, 1))  # means of patches from 0.05 to 0.95
+    values = draw_values({'policy:general': ValueMap(slope, place, place, 4.0)})
     assert {'goal', 'sheep', 'two shepherds'} <= texts(values)
+    assert {'0.2', '0.4', '0.6', '0.8'} <= texts(values)  # on the contours
     assert [axes.get_xlabel() for axes in values.axes] == ['x [m]', '']
     assert values.axes[1].get_ylabel() == "critic's value [1]"
 

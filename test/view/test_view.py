@@ -22,7 +22,14 @@ from shepherd_ros.view.animation import (
     TRAIL,
     trail_segments,
 )
-from shepherd_ros.view.picture import draw_tracks, free_side, shade, snapshot_steps, time_marks
+from shepherd_ros.view.picture import (
+    draw_tracks,
+    draw_ways,
+    free_side,
+    shade,
+    snapshot_steps,
+    time_marks,
+)
 from shepherd_ros.view.scene import GOAL_FILL, make_scene, SHEEP_COLOR, shepherd_color, view_limits
 from shepherd_ros.view.track import EpisodeTrack
 
@@ -118,6 +125,18 @@ def test_snapshots_and_marks_of_time() -> None:
     assert snapshot_steps(10) == [0, 3, 6, 9]
     assert time_marks(np.arange(251) * 0.5) == [0, 50, 100, 150, 200, 250]  # each 25 s
     assert time_marks(np.array([3.0])) == [0]
+
+
+def test_ways_of_shepherds_differ_also_in_grey() -> None:
+    track = wandering(100, 2, 7)
+    _, axes = make_scene(track)
+    draw_ways(axes, track)
+    marks = time_marks(track.times)
+    looks = []
+    for path in track.shepherds.swapaxes(0, 1):
+        (line,) = [line for line in axes.lines if np.array_equal(line.get_xydata(), path[marks])]
+        looks.append(line.get_marker())
+    assert len(set(looks)) == 7
 
 
 def test_sheep_in_the_goal_are_counted_with_its_rim() -> None:
