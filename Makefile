@@ -39,13 +39,13 @@ help:  # this list
 
 setup: $(VENV)/.installed  # the environment with all that tests and other targets need
 
-# Packages are compiled by all cores at the end, not one after another.
+# Packages are compiled by all cores at the end, not one after another, without what nothing here imports.
 # torch without GPU libraries, which take gigabytes; where it cannot be reached, that of PyPI
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 REACHED = $(BIN)/python -c "from urllib.request import urlopen as u; u('$(TORCH_INDEX)', timeout=5)"
 INSTALL = if $(REACHED) 2>/dev/null; then export PIP_EXTRA_INDEX_URL=$(TORCH_INDEX); fi; \
   $(BIN)/python -m pip install --no-compile --constraint constraints.txt --editable
-COMPILE = $(BIN)/python -m compileall -q -j 0 $(VENV)/lib >/dev/null || true
+COMPILE = $(BIN)/python -m compileall -q -j 0 -x '/(tests?|pip|sympy)/' $(VENV)/lib >/dev/null || true
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)

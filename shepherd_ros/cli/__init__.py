@@ -23,14 +23,14 @@ class Train:
 @dataclass
 class Run:
     """
-    Start a node: shepherd run NODE, followed by what it takes, such as --ros-args.
+    Start a node: shepherd run NODE, followed by its arguments, such as --ros-args.
 
     shepherd run NODE --help shows its parameters.
     """
 
 
 def run_node(words: list[str]) -> int:
-    """Run a node in this process; words are its name and those of its command line."""
+    """Run a node in this process, by its name and its arguments; return its exit code."""
     from shepherd_ros.config import unknown_name
     from shepherd_ros.nodes import executables
 
@@ -41,7 +41,7 @@ def run_node(words: list[str]) -> int:
 
 
 def whole(words: list[str], verbs: dict[str, Callable[..., Any]]) -> list[str]:
-    """Return words that ask for help where a verb stands alone that needs more."""
+    """Return the words, with --help added where a verb lacks all of its arguments."""
     alone = len(words) == 1 and words[0] in verbs
     if not words or (alone and (words[0] in ('train', 'run') or needs_more(verbs[words[0]]))):
         return [*words, '--help']
@@ -89,7 +89,7 @@ def all_verbs() -> dict[str, Callable[..., Any]]:
 
 
 def _trainings() -> type[Any]:
-    """Return the trainings as a verb, for the completion of words."""
+    """Return the trainings as one verb, for completion in a shell."""
     from shepherd_ros.arguments import verb_group
     from shepherd_ros.cli.train_verbs import DEFAULT_RECIPES, verbs
 

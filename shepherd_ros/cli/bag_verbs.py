@@ -34,7 +34,7 @@ class _Info:
     """Print JSON: times in ns, sizes in bytes."""
 
     def run(self) -> int:
-        """Print it; exit code 1 if a bag of a folder cannot be read."""
+        """Print the content; return 1 if a bag of a folder cannot be read, else 0."""
         from shepherd_ros.recordings.info import bag_info
         from shepherd_ros.rosbag2.reader import bags_in, open_bag
 
@@ -70,7 +70,7 @@ class _Check:
     """Parts that must have been recorded."""
 
     def run(self) -> int:
-        """Print what was found, the first gap first."""
+        """Print what is missing, the first gap first; return the exit code."""
         from shepherd_ros.recordings.check import check_bag
         from shepherd_ros.rosbag2.reader import open_bag
 
@@ -93,7 +93,7 @@ class _Recover:
     """Compression of the new bag."""
 
     def run(self) -> int:
-        """Recover and print what was kept and lost."""
+        """Write the new bag, print what was kept and lost; return the exit code."""
         from shepherd_ros.recordings.recording_writer import recover_recording
 
         with progress('recovering') as show:
@@ -121,7 +121,7 @@ class _Export:
     """Namespace of the stack, if the bag has several."""
 
     def run(self) -> int:
-        """Export and print the tables."""
+        """Write the tables and print their names; return the exit code."""
         from shepherd_ros.recordings.export import export_bag
         from shepherd_ros.rosbag2.reader import open_bag
 
@@ -148,7 +148,7 @@ class _Diff:
     again while it waits for answers, so two runs with one seed may differ in such repeats."""
 
     def run(self) -> int:
-        """Print a line for each topic."""
+        """Print a line for each topic; return the exit code."""
         from shepherd_ros.rosbag2.diff import diff_bags
         from shepherd_ros.rosbag2.reader import open_bag
 
@@ -198,7 +198,7 @@ class _Render:
     """Write into a folder that holds something else."""
 
     def run(self) -> int:
-        """Draw and print what was written."""
+        """Draw and print the files written; return the exit code."""
         from shepherd_ros.recordings.replay import (
             metrics_over_time,
             ranges_of,

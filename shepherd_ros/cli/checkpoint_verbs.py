@@ -33,7 +33,7 @@ class _Info:
     """Print JSON: all that the file says, the whole configuration of its training too."""
 
     def run(self) -> int:
-        """Print it."""
+        """Print the page or the list; return the exit code."""
         from shepherd_ros.policy.checkpoint import (
             checkpoint_file,
             load_policy,
@@ -97,7 +97,7 @@ class _Card:
     """A file, or the name of a shipped one."""
 
     def run(self) -> int:
-        """Print it."""
+        """Print the card; return the exit code."""
         from shepherd_ros.policy.card import card
         from shepherd_ros.policy.checkpoint import (
             checkpoint_file,
@@ -125,7 +125,7 @@ class _RandomWeights:
     """Replace a file that is there."""
 
     def run(self) -> int:
-        """Write it."""
+        """Write the checkpoint; return the exit code."""
         from shepherd_ros.policy.checkpoint import CHECKPOINT_SUFFIX, save_policy
         from shepherd_ros.policy.policy import Policy, PolicyConfig
         import torch
@@ -154,7 +154,7 @@ class _Export:
     """Replace a file that is there."""
 
     def run(self) -> int:
-        """Write it."""
+        """Write the network and compare its outputs; return the exit code."""
         from shepherd_ros.policy.checkpoint import load_policy
         from shepherd_ros.policy.torchscript import export_actor
 

@@ -59,7 +59,7 @@ class LiveConsole(OneSetting):
 
     @staticmethod
     def _follow(processes: Running) -> None:
-        """Print the address once it is known; return when the world has ended."""
+        """Print the address of the page once it is known; return when flock_sim has ended."""
         shown = False
         while not processes.ended('flock_sim'):
             processes.check()

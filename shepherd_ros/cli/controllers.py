@@ -21,7 +21,7 @@ OF_NODES = ('executor', 'frame_id', 'shepherd_ids', 'stale_after', 'stamped', 'u
 
 @dataclass(frozen=True)
 class Chosen:
-    """A controller by name, its parameters as a node gets them, and what is perceived."""
+    """A controller by name, its ROS parameters, and the noise of its perception."""
 
     name: str
     parameters: dict[str, Any] = field(default_factory=dict)
@@ -33,7 +33,7 @@ class Chosen:
 
     @property
     def of_core(self) -> bool:
-        """Return whether it is one of shepherd_ros.controllers."""
+        """Return whether it is an entry of shepherd_ros.controllers."""
         from shepherd_ros.controllers import CONTROLLERS
 
         return self.name in CONTROLLERS

@@ -20,7 +20,7 @@ Places = tyro.conf.Positional[tuple[Path, ...]]
 
 @dataclass
 class _Common:
-    """Options that both verbs have."""
+    """Options of both verbs."""
 
     places: Places
     """Bags, folders of bags, or data sets that were built."""
@@ -36,7 +36,7 @@ class _Common:
     """Print JSON."""
 
     def frames(self) -> ObservationConfig:
-        """Return the frames that are asked for; raises ConfigError."""
+        """Return which frames an example shows; raises ConfigError."""
         from shepherd_ros.sim.observation import ObservationConfig
 
         if not self.places:
@@ -49,7 +49,7 @@ class _Info(_Common):
     """Print what can be learned from bags: examples, dropped steps with reasons, statistics."""
 
     def run(self) -> int:
-        """Print it."""
+        """Print the statistics; return the exit code."""
         from shepherd_ros.datasets.examples import count_examples, driver_names
 
         options = self.frames(), self.labels, driver_names(self.drivers)
@@ -67,7 +67,7 @@ class _Build(_Common):
     """New folder."""
 
     def run(self) -> int:
-        """Write it and print what was found."""
+        """Write the files and print their statistics; return the exit code."""
         from shepherd_ros.datasets.examples import build_dataset, driver_names
 
         options = self.frames(), self.labels, driver_names(self.drivers)

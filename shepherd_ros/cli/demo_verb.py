@@ -87,7 +87,7 @@ class Demo(OneSetting):
         return canonical_setting(self.setting)
 
     def _notes(self, setting: Setting) -> list[str]:
-        """Return what policies do whose times the world's time step cannot keep."""
+        """Return a note on each policy whose intervals are no multiples of the time step."""
         from shepherd_ros.experiments.methods import full_name, timing_note
         from shepherd_ros.experiments.setting import env_config
 
@@ -138,7 +138,7 @@ class Demo(OneSetting):
         probe: EpisodeProbe,
         spin: Callable[[float], None],
     ) -> None:
-        """Hear until done; raise UserError if a process fails or nothing is heard for long."""
+        """Spin until done; raise UserError if a process fails or nothing is heard for long."""
         news, since, checked = -1, time.monotonic(), 0.0
         while True:
             spin(0.1)

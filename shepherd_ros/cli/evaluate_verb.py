@@ -196,7 +196,7 @@ class Evaluate(ManySettings):
 def _tell(
     tasks: list[Task], missing: list[Task], code: str, codes: Sequence[str], workers: int
 ) -> None:
-    """Print what there is to do, and by which other code the rest was done."""
+    """Print the number of missing cells, and the commits that wrote the others."""
     minutes = sum(task.cell.cost() for task in missing) / 60
     print(
         f'{sum(t.cell.count for t in tasks)} episodes in {len(tasks)} cells, '
@@ -212,7 +212,7 @@ def _tell(
 
 
 def _tell_timings(tasks: list[Task]) -> None:
-    """Print each policy whose times a world's time step cannot keep, and what it does."""
+    """Print a note on each policy whose intervals are no multiples of the time step."""
     from shepherd_ros.experiments.methods import timing_note
     from shepherd_ros.experiments.setting import env_config
 

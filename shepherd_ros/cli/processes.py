@@ -28,7 +28,7 @@ def executable(name: str) -> str:
 
 
 def isolate(environment: MutableMapping[str, str]) -> None:
-    """Set what keeps a stack to this machine and quick to start, unless the user has set it."""
+    """Set a domain, local discovery and quick start of DDS, unless the user has set them."""
     environment.setdefault('ROS_DOMAIN_ID', str(102 + os.getpid() % 100))  # tests: 1 to 101
     environment.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     environment.setdefault('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4')
@@ -57,7 +57,7 @@ class Running:
                 )
 
     def ended(self, name: str) -> bool:
-        """Return whether a process has ended by itself and well."""
+        """Return whether a process has ended with exit code 0."""
         return self.started[name].poll() == 0
 
     def check(self) -> None:

@@ -26,7 +26,7 @@ Show = Callable[..., None]  # show(done, total=None, text='')
 
 
 class _Lines:
-    """Lines for a pipe or a file: none for work that is soon over."""
+    """Lines for a pipe or a file; none for short work."""
 
     def __init__(self, what: str, total: float | None) -> None:
         self.what, self.total, self.shown_at = what, total, time.monotonic()
@@ -43,7 +43,7 @@ class _Lines:
 
 @contextmanager
 def progress(what: str, total: float | None = None, quiet: bool = False) -> Iterator[Show]:
-    """Yield show(done, total=None, text=''), which tells how far the work is; quiet: nothing."""
+    """Yield show(done, total=None, text=''), which reports progress on stderr unless quiet."""
     if quiet:
         yield lambda done, total=None, text='': None
     elif not sys.stderr.isatty():

@@ -105,7 +105,7 @@ class Replay:
             )
 
     def _ask_law(self, choice: Chosen, result: Comparison, show: Show) -> None:
-        """Compare what the law says."""
+        """Compare the commands of the control law, called without ROS."""
         from shepherd_ros.recordings.replay import states_of
         from shepherd_ros.recordings.replay_check import law_commands
         from shepherd_ros.sim.world import WorldConfig
@@ -118,7 +118,7 @@ class Replay:
                 show(result.compared, text='commands')
 
     def _ask_node(self, choice: Chosen, result: Comparison, show: Show) -> None:
-        """Compare what the node says."""
+        """Compare the commands of the controller as a node."""
         isolate(os.environ)
         try:  # now, as rclpy reads the environment when it is imported
             from shepherd_ros.nodes.controller_probe import open_controller_probe

@@ -154,7 +154,7 @@ def train(words: list[str], doc: str) -> int:
 
 
 def _run(arguments: Any, kind: type[Config], train: Callable[..., Any]) -> int:
-    """Train; return the exit code."""
+    """Train in the run folder; return the exit code."""
     if arguments.threads < 1:
         raise UserError(f'--threads is {arguments.threads}: expected at least 1')
     if kind is BCConfig and not arguments.bags:

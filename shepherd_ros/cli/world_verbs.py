@@ -1,4 +1,4 @@
-"""Verbs reset, pause, drive, lock, status and others: ask a world that runs."""
+"""Verbs reset, pause, drive, lock, status and others: call services of a running world."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class Asking:
-    """What these verbs have in common."""
+    """Options of all verbs that call services."""
 
     namespace: str = ''
     """Namespace of the world."""
 
     def client(self) -> AbstractContextManager[WorldClient]:
-        """Return what gives a client of the world; raises UserError without ROS."""
+        """Return a context with a client of the world; raises UserError without ROS."""
         try:
             from shepherd_ros.nodes.world_client import world_client
         except ModuleNotFoundError as error:
@@ -37,7 +37,7 @@ class Reset(Asking):
     """Its seed; the next one if not given."""
 
     def run(self) -> int:
-        """Ask for it."""
+        """Call the service and print its answer; return the exit code."""
         with self.client() as world:
             print(world.reset(self.seed))
         return 0
@@ -45,10 +45,10 @@ class Reset(Asking):
 
 @dataclass(kw_only=True)
 class Pause(Asking):
-    """Let the world stand still."""
+    """Pause the world."""
 
     def run(self) -> int:
-        """Ask for it."""
+        """Call the service and print its answer; return the exit code."""
         with self.client() as world:
             print(world.pause(True))
         return 0
@@ -56,10 +56,10 @@ class Pause(Asking):
 
 @dataclass(kw_only=True)
 class Resume(Asking):
-    """Let the world go on."""
+    """Resume the world after a pause."""
 
     def run(self) -> int:
-        """Ask for it."""
+        """Call the service and print its answer; return the exit code."""
         with self.client() as world:
             print(world.pause(False))
         return 0
@@ -67,13 +67,13 @@ class Resume(Asking):
 
 @dataclass(kw_only=True)
 class MakeSteps(Asking):
-    """Make some steps, then pause."""
+    """Advance the world by some steps, then pause."""
 
     n: tyro.conf.Positional[int] = 1
-    """How many."""
+    """Number of steps."""
 
     def run(self) -> int:
-        """Ask for it."""
+        """Call the service and print its answer; return the exit code."""
         with self.client() as world:
             print(world.step(self.n))
         return 0
@@ -89,7 +89,7 @@ class Goal(Asking):
     """Its center [m], to the north."""
 
     def run(self) -> int:
-        """Ask for it."""
+        """Call the service and print its answer; return the exit code."""
         with self.client() as world:
             print(world.move_goal(self.x, self.y))
         return 0
@@ -97,7 +97,7 @@ class Goal(Asking):
 
 @dataclass(kw_only=True)
 class OfShepherds(Asking):
-    """What verbs that ask mux have in common."""
+    """Options of the verbs that call services of mux."""
 
     shepherd: int | None = None
     """Index of a shepherd; all of them if not given."""
@@ -105,13 +105,13 @@ class OfShepherds(Asking):
 
 @dataclass(kw_only=True)
 class Drive(OfShepherds):
-    """Let a source of mux drive from the next step on, such as keys, or a controller."""
+    """Select the source whose commands mux forwards from the next step on, such as keys."""
 
     source: tyro.conf.Positional[str]
     """Its name; auto for the one of highest priority that is not silent."""
 
     def run(self) -> int:
-        """Ask for it."""
+        """Call the service and print its answer; return the exit code."""
         with self.client() as world:
             print(world.drive(self.source, self.shepherd))
         return 0
@@ -119,10 +119,10 @@ class Drive(OfShepherds):
 
 @dataclass(kw_only=True)
 class LockShepherds(OfShepherds):
-    """Let shepherds stand still, whatever their sources command."""
+    """Lock shepherds: mux commands zero velocity, whatever their sources command."""
 
     def run(self) -> int:
-        """Ask for it."""
+        """Call the service and print its answer; return the exit code."""
         with self.client() as world:
             print(world.lock(True, self.shepherd))
         return 0
@@ -130,10 +130,10 @@ class LockShepherds(OfShepherds):
 
 @dataclass(kw_only=True)
 class Unlock(OfShepherds):
-    """Let shepherds go that were locked."""
+    """Unlock shepherds: mux forwards commands again."""
 
     def run(self) -> int:
-        """Ask for it."""
+        """Call the service and print its answer; return the exit code."""
         with self.client() as world:
             print(world.lock(False, self.shepherd))
         return 0
@@ -141,10 +141,10 @@ class Unlock(OfShepherds):
 
 @dataclass(kw_only=True)
 class Status(Asking):
-    """Show the episode that runs, and what its nodes report."""
+    """Show the running episode and the diagnostics of its nodes."""
 
     def run(self) -> int:
-        """Print it."""
+        """Print episode and diagnostics; return the exit code."""
         with self.client() as world:
             print(*world.status(), sep='\n')
         return 0
@@ -152,10 +152,10 @@ class Status(Asking):
 
 @dataclass(kw_only=True)
 class Nodes(Asking):
-    """List the nodes that run."""
+    """List the running nodes."""
 
     def run(self) -> int:
-        """Print their names."""
+        """Print their names; return the exit code."""
         with self.client() as world:
             print(*world.nodes(), sep='\n')
         return 0

@@ -9,6 +9,6 @@ DRAWING = ('canvas.js', 'ground.js', 'tip.js', 'plane.js', 'curves.js')  # in th
 
 
 def beside(*names: str) -> str:
-    """Return the text of files beside this one."""
+    """Return the joined text of files beside this one."""
     here = Path(__file__)
     return '\n'.join(here.with_name(name).read_text(encoding='utf-8') for name in names)

@@ -16,7 +16,7 @@ ZLIB_LEVEL = 6  # of zlib: higher ones take longer and gain little
 
 
 def quantum(extent: float) -> float:
-    """Return a round step that covers 0 .. extent with the numbers 0 .. LARGEST."""
+    """Return a round step that covers 0 .. extent with the numbers 0 .. MAX_CODE."""
     if extent <= 0:
         return 0.001
     decade = 10.0 ** math.floor(math.log10(extent / MAX_CODE))
@@ -32,7 +32,7 @@ def packed(values: NDArray[Any]) -> dict[str, Any]:
 
 
 def rounded(values: NDArray[Any], low: float, step: float) -> dict[str, Any]:
-    """Return packed uint16 numbers k that stand for low + step k; FREE where not finite."""
+    """Return values as packed uint16 k, each low + k step; FREE_RAY where not finite."""
     finite = np.isfinite(values)
     whole = np.full(values.shape, FREE_RAY, np.uint16)
     metres = values[finite].astype(np.float64)

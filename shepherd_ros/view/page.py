@@ -153,7 +153,7 @@ def curve(name: str, values: ArrayLike, steps: int) -> NDArray[np.float32]:
 
 
 def seen(track: EpisodeTrack, ranges: ArrayLike | None) -> Lidar | None:
-    """Return the rays to show, all shepherds' or those of the track, or raise ConfigError."""
+    """Return the lidar to show: of all shepherds, or that of the track; raises ConfigError."""
     steps, team = track.shepherds.shape[:2]
     if ranges is not None:
         shepherds = list(range(team))
