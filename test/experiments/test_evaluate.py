@@ -336,6 +336,7 @@ def test_shards_on_two_machines_make_the_rows_of_one(tmp_path: Path) -> None:
     assert one.equals(two)
 
 
+@pytest.mark.system
 def test_two_ranks_of_torchrun_make_the_rows_of_one_process(
     commands: Path, tmp_path: Path
 ) -> None:
@@ -357,6 +358,7 @@ def test_two_ranks_of_torchrun_make_the_rows_of_one_process(
     assert done.stdout.count('fig6.md') == 1, 'the table is written once, when all is there'
 
 
+@pytest.mark.system
 def test_cells_run_in_processes_too(tmp_path: Path) -> None:
     words = ['evaluate', '5', '--steps', '3', '--sheep', '3', '--episodes', '1', '--workers', '2']
     assert main([*words, '--controllers', 'idle', '--out', str(tmp_path)]) == 0

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from itertools import product
 
+import numpy as np
 import pytest
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.sim import compiled
@@ -36,6 +37,11 @@ CONTROLLERS = [
     ('pierson', {'pace': 'constant'}),
     ('pierson', {'assignment': 'fixed', 'max_radius': 6.0, 'tracking_gain': 0.5}),
 ]
+SMALL = [
+    ('strombom', {'interaction_range': 0.5}),
+    ('strombom', {'position_law': 'elfiqi', 'interaction_range': 1.5, 'standoff': 3.0}),
+    ('pierson', {'lead': 3.0, 'gain': 0.3, 'max_turn_rate': 0.2}),
+]  # whose terms would be equal by chance in a metre or a turn of one
 
 
 def worlds(flock, n_sheep: int, batch: int) -> tuple[WorldConfig, WorldState]:
@@ -103,6 +109,23 @@ def test_a_compiled_controller_answers_as_the_plain_one_but_where_places_are_equ
             same.append((fast - plain).abs().amax(dim=(-2, -1)) < 5e-4)
             state, memory = step(state, plain, config), expected
         assert torch.stack(same).float().mean() > 0.99  # of 240; a draw falls by the last digit
+
+
+@pytest.mark.parametrize(('name', 'options'), [*CONTROLLERS, *SMALL])
+def test_a_compiled_controller_answers_as_the_plain_one_wherever_goal_and_heading_are(
+    monkeypatch, name, options
+) -> None:
+    for n_sheep in (1, 3, 12):
+        config, state = worlds(StrombomFlock(), n_sheep, batch=24)
+        config, turn = replace(config, dt=0.3), torch.arange(24.0)
+        state.sheep_mask[:, :3] = True  # as two are equally far from their center
+        goal = state.goal + torch.stack([7.0 - turn, turn - 3.0], dim=-1)
+        state = replace(state, goal=goal)
+        controller = make_controller(name, config, **options)
+        memory = {key: torch.sin(turn) * torch.pi for key in controller.begin(state)}
+        monkeypatch.setattr(np, 'empty_like', lambda like: np.full_like(like, np.nan))
+        fast, plain = both(monkeypatch, controller.act, state, memory)
+        torch.testing.assert_close(fast, plain, atol=5e-4, rtol=0)
 
 
 @pytest.mark.parametrize('name', ['strombom', 'pierson'])
