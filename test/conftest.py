@@ -1,7 +1,7 @@
 """
 Fixtures of all tests: threads, and for tests of nodes a DDS domain of their own.
 
-The variables are set before rclpy is imported, here and in every process that a test starts.
+The variables are set before rclpy and torch are imported, here and in every process of a test.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from installed import missing_packages
 from laws import compile_beside, compile_laws, wait_for_laws
 import pytest
 from shepherd_ros.resources import quick_profile
-import torch
 
 if TYPE_CHECKING:
     from nodes.process import Graph
@@ -42,7 +41,6 @@ os.environ.pop('ROS_STATIC_PEERS', None)
 # what a shell lets its background jobs ignore would be ignored by the nodes of the tests, too
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
-torch.set_num_threads(1)
 
 
 LACKING = {

@@ -231,7 +231,10 @@ def test_a_bad_launch_argument_is_named(given: dict[str, str], message: str) -> 
     ('given', 'message'),
     [
         ({'controller': 'nonsense'}, "controller is 'nonsense': expected one of"),
-        ({'controller': 'pierson:general'}, 'expected a checkpoint only after policy:'),
+        (
+            {'controller': 'pierson:general'},
+            'expected pierson alone; a colon follows only c',
+        ),
         ({'controller': 'policy', 'checkpoint': 'nowhere'}, "checkpoint is 'nowhere': expected a"),
     ],
 )

@@ -120,7 +120,7 @@ class Figures:
     def _maps(self, rows: Results) -> Mapping[str, Any]:
         """Return the value maps of the policies with a critic, those of --checkpoints if given."""
         from shepherd_ros.experiments.methods import full_name
-        from shepherd_ros.paper.primary import has_critic
+        from shepherd_ros.experiments.value_map import has_critic
         from shepherd_ros.paper.value_verdicts import value_maps
 
         known = [name for name in rows.distinct('controller') if name.startswith('policy:')]

@@ -118,7 +118,7 @@ COMMAND_KINDS: dict[str, CommandKind] = {
         },
     ),
     'drive': CommandKind(
-        'take a shepherd and drive it; again within 160 ms, or it stops and is released',
+        'take a shepherd and drive it; it stops 100 ms after the last, is released after 0.5 s',
         {
             'shepherd': _shepherd('its index'),
             'x': CommandField(0.0, 'velocity [m/s]', -MAX_SPEED, MAX_SPEED),

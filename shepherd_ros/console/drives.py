@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 from shepherd_ros.config import ConfigError
 
-DEAD_MAN = 0.16  # [s] without a command of its page, so that zero is there within 0.2 s
+DEAD_MAN = 0.1  # [s] without a command of its page until it stops: zero is there within 0.2 s
+GIVE_BACK_AFTER = 0.5  # [s] without one until it is given back, as a busy page goes on at once
 
 
 @dataclass
@@ -16,6 +17,7 @@ class Hold:
 
     page: int
     last_command: float  # when its last command came [s]
+    stopped: bool = False  # as no command has come since
 
 
 class Drives:
@@ -60,10 +62,13 @@ class Drives:
         return self._stop([h for h in self.holds if shepherd in (None, h)])
 
     def expire(self, now: float) -> bool:
-        """Stop and give back what has had no command for too long; return if any."""
-        return self._stop(
-            [h for h, hold in self.holds.items() if now - hold.last_command > DEAD_MAN]
-        )
+        """Stop what has had no command for too long, then give it back; return if any is."""
+        silence = {h: now - hold.last_command for h, hold in self.holds.items()}
+        for h, hold in self.holds.items():
+            if silence[h] > DEAD_MAN and not hold.stopped:
+                hold.stopped = True
+                self._move(h, 0.0, 0.0, 'world')
+        return self._stop([h for h in silence if silence[h] > GIVE_BACK_AFTER])
 
     def _stop(self, shepherds: list[int]) -> bool:
         for h in shepherds:

@@ -8,18 +8,29 @@ import sys
 from typing import Any
 
 import numpy as np
+from shepherd_ros.config import ConfigError
 from shepherd_ros.experiments.methods import loaded
-from shepherd_ros.experiments.value_map import place_values, places_around
+from shepherd_ros.experiments.value_map import has_critic, place_values, places_around
 from shepherd_ros.sim.state import WorldState
 import torch
 
 
 def map_states(request: Mapping[str, Any], say: Callable[..., None]) -> None:
-    """Map each state that comes as a line, until no more come; say(**content) tells of it."""
+    """
+    Map each state that comes as a line, until no more come; say(**content) tells of it.
+
+    Raises ConfigError for a checkpoint without a trained critic.
+    """
     import torch
 
     torch.set_num_threads(1)
-    policy, h = loaded(request['checkpoint']), request['shepherd']
+    name, h = request['checkpoint'], request['shepherd']
+    policy = loaded(name)
+    if not has_critic(f'policy:{name}'):
+        raise ConfigError(
+            f'checkpoint is {name!r}, whose critic has learned nothing: expected a policy that '
+            'PPO has trained with a critic of scans, such as strombom'
+        )
     say(text='ready')
     for line in sys.stdin:
         moment = json.loads(line)

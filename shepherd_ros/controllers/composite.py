@@ -8,7 +8,9 @@ farther off than that, so that the two do not alternate at one distance.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from shepherd_ros.config import Config, ConfigError, option, read
@@ -84,8 +86,14 @@ class CompositeController(Controller):
     @classmethod
     def in_preset(cls, config: Any, world: WorldConfig, preset: str) -> Controller:
         """Return the controller, whose two parts have the options of a preset."""
-        parts = (controller_named(word, world, preset) for word in (config.drive, config.hold))
-        return cls(config, world, *parts)
+        return cls.made_of(config, world, partial(controller_named, world=world, preset=preset))
+
+    @classmethod
+    def made_of(
+        cls, config: CompositeConfig, world: WorldConfig, make: Callable[[str], Controller]
+    ) -> Controller:
+        """Return the controller with the parts that make(word) returns for their words."""
+        return cls(config, world, *(make(getattr(config, role)) for role in ROLES))
 
     @classmethod
     def options_of(cls, text: str) -> dict[str, Any]:

@@ -43,9 +43,10 @@ class Controller:
     @classmethod
     def options_of(cls, text: str) -> dict[str, Any]:
         """Return the options that the text after its name and a colon gives, or ConfigError."""
+        own = (name for name, kind in CONTROLLERS.items() if 'options_of' in vars(kind))
         raise ConfigError(
-            f'controller is {f"{cls.name}:{text}"!r}: expected a checkpoint only after policy:, '
-            'and two controllers only after composite:'
+            f'controller is {f"{cls.name}:{text}"!r}: expected {cls.name} alone; a colon follows '
+            f'only {", ".join(sorted(own))}'
         )
 
     def begin(self, state: WorldState) -> Memory:

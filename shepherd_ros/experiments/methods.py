@@ -161,9 +161,11 @@ def method_in(config: EnvConfig, name: str, preset: str = 'default') -> Controll
         if kind != CompositeController.name:
             return make_controller(kind, config.world, **options)
         chosen = CompositeConfig(**options)
-        parts = (full_name(getattr(chosen, part)) for part in ROLES)
-        made = (method_in(config, part, preset) for part in parts)
-        return CompositeController(chosen, config.world, *made)
+
+        def part(word: str) -> Controller:
+            return method_in(config, full_name(word), preset)
+
+        return CompositeController.made_of(chosen, config.world, part)
     policy = loaded(checkpoint)
     learned = LearnedConfig(**split_name(name)[1])
     faults, rays = config.lidar.changes(), config.lidar.n_rays

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from shepherd_ros.experiments.bootstrap import Array
+from shepherd_ros.experiments.methods import training_of
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.frames import Frames
 from shepherd_ros.sim.lidar import scan
@@ -81,6 +82,12 @@ class ValueMap:
         """Return the fraction of the plane with high values."""
         low, high = np.percentile(self.values, PERCENTILES)
         return float((self.values > low + HIGH_VALUE * (high - low)).mean())
+
+
+def has_critic(policy: str) -> bool:
+    """Return whether a policy's own critic was trained: only PPO does that, from scans."""
+    update = training_of(policy).get('ppo')
+    return isinstance(update, dict) and update.get('critic_input', 'scans') == 'scans'
 
 
 def places() -> Array:

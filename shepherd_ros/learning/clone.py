@@ -14,6 +14,7 @@ from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel
 
 Weights = list[Tensor] | tuple[Tensor, ...]
+GATE_WEIGHT = 0.1  # [m2/s2] of the cross-entropy of the gate, beside errors of commands
 EMA_WARMUP_STEPS = 10  # at first, the mean is over one in so many of the steps so far
 
 
@@ -34,7 +35,7 @@ class CloneConfig(Config):
         'the mean is cut to this for its error [m/s]',
         low=0.0,
     )
-    gate_weight: float = option(0.1, 'weight of the cross-entropy of the gate', low=0.0)
+    gate_weight: float = option(GATE_WEIGHT, 'weight of the cross-entropy of the gate', low=0.0)
     hold_weight: float = option(1.0, 'weight of errors while the teacher holds', low=0.0)
     ema_decay: float = option(
         0.998, 'share that the running mean of the weights keeps in a step', low=0.0, high=1.0

@@ -8,6 +8,7 @@ from typing import Any
 
 from shepherd_ros.config import Config, option
 from shepherd_ros.experiments.methods import full_name
+from shepherd_ros.learning.clone import GATE_WEIGHT
 from shepherd_ros.learning.distributed import all_reduce, least, ranks, total
 from shepherd_ros.learning.ppo_rollout import Batch, log_prob
 from shepherd_ros.learning.state_critic import StateCritic
@@ -18,8 +19,6 @@ import torch
 from torch import nn, Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
-
-GATE_WEIGHT = 0.1  # [m2/s2] of the cross-entropy of the gate, beside errors of commands
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,14 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import NodeNameNonExistentError
+from shepherd_ros.nodes.command_writers import CommandWriters
 from shepherd_ros.nodes.pending_commands import CommandBuffer
 from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, UNKNOWN_NODE_NAME, WARN
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
 from shepherd_ros.sim.limits import MAX_FLOAT32
 from shepherd_ros.wire.decode import decode_stamp, Vector
 from shepherd_ros.wire.episode import Episode
-from shepherd_ros.wire.topics import COMMANDS, scan_topic
+from shepherd_ros.wire.topics import command_type, COMMANDS, scan_topic
 
 REFUSAL_WARNING_PERIOD = 5.0  # [s] between two warnings of one kind
 SILENCE_CHECK_PERIOD = 0.5  # [s] between two checks of the reason for missing commands
@@ -41,6 +42,8 @@ class FlockCommands:
         self.stamped: bool = node.option(
             'stamped', True, 'commands are TwistStamped; false: Twist, taken for the present state'
         )
+        self.kind = command_type(self.stamped)
+        self.writers = CommandWriters(node, self.kind)
         self.watchdog_steps: int = node.option(
             'watchdog_steps',
             3,
@@ -62,18 +65,16 @@ class FlockCommands:
         self.reasons: dict[str, str] = {}  # the reason, by silent topic
         self.next_check = 0.0  # when to look for the reason again
         self.reported_refusals = 0  # commands that were not finite, at the last report
-        self.rivals: dict[str, list[str]] = {}
 
     def begin(self, episode: Episode) -> None:
         """Subscribe to the commands of the team of an episode."""
         self.lockstep = episode.mode == 'lockstep'
         self.commands = CommandBuffer(episode.n_shepherds)
         self.reasons = {}
-        kind = '' if self.stamped else 'geometry_msgs/msg/Twist'
         while len(self.inputs) > episode.n_shepherds:
             self.node.destroy_subscription(self.inputs.pop())
         for h in range(len(self.inputs), episode.n_shepherds):
-            self.inputs.append(self.node.listen(COMMANDS, self._receiver(h), h, kind=kind))
+            self.inputs.append(self.node.listen(COMMANDS, self._receiver(h), h, kind=self.kind))
         scans = {
             scan_topic(channel).format(h=h): (scan_topic(channel), h)
             for h in range(episode.n_shepherds if self.wait_for_scans else 0)
@@ -205,26 +206,14 @@ class FlockCommands:
             reason = f'{reason[:-1]}, by {", ".join(map(self.node.sourced, sorted(scans)))})'
         return reason
 
-    def find_rivals(self) -> None:
-        """Log shepherds that more than one node commands, once per set of nodes."""
-        rivals = {}
-        for h in range(self.commands.n_shepherds):
-            writers = self.node.publishers_of(COMMANDS.format(h=h))
-            if len(writers) > 1:
-                rivals[COMMANDS.format(h=h)] = writers
-        for topic, writers in rivals.items():
-            if self.rivals.get(topic) != writers:
-                self.node.get_logger().warning(
-                    f'{topic} is published by {len(writers)} nodes ({", ".join(writers)}), '
-                    'expected one: the last command counts; stop one or remap its topic'
-                )
-        self.rivals = rivals
-
     def diagnose(self) -> DiagnosticStatus:
         """Return the diagnostics of the commands."""
-        self.find_rivals()
+        self.writers.find(self.commands.n_shepherds)
         level, message = OK, 'every shepherd answers'
-        if self.reasons:
+        if self.writers.unheard:
+            shown = '; '.join(f'{topic} as {text}' for topic, text in self.writers.unheard.items())
+            level, message = ERROR, f'commands of another type than {self.kind}: {shown}'
+        elif self.reasons:
             level = ERROR
             message = f'no answer on {", ".join(self.reasons)}: {"; ".join(self.reasons.values())}'
         elif not self.lockstep:
@@ -234,8 +223,9 @@ class FlockCommands:
             ]  # fmt: skip
             if stopped:
                 level, message = ERROR, 'stopped by the watchdog: ' + ', '.join(stopped)
-        if level == OK and self.rivals:
-            level, message = WARN, 'several nodes command ' + ', '.join(sorted(self.rivals))
+        if level == OK and self.writers.rivals:
+            rivals = ', '.join(sorted(self.writers.rivals))
+            level, message = WARN, f'several nodes command {rivals}'
         if level == OK and self.counts['not_finite'] > self.reported_refusals:
             level, message = WARN, 'commands that are not finite count as zero'
         self.reported_refusals = self.counts['not_finite']

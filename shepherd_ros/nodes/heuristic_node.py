@@ -22,6 +22,7 @@ from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_command, encode_twist
 from shepherd_ros.wire.episode import Episode
+from shepherd_ros.wire.topics import command_type
 import torch
 
 ALL_SHEPHERDS = -1
@@ -78,7 +79,7 @@ class HeuristicNode(ShepherdNode):
         commanded = [h for h in team if h not in unknown]
         for h in [h for h in self.outputs if h not in commanded]:
             self.destroy_publisher(self.outputs.pop(h))
-        kind = '' if self.stamped else 'geometry_msgs/msg/Twist'
+        kind = command_type(self.stamped)
         for h in [h for h in commanded if h not in self.outputs]:
             self.outputs[h] = self.advertise(self.commands, h, kind)
 

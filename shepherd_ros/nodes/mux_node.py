@@ -11,7 +11,7 @@ from shepherd_ros.nodes.body_frame import BodyFrames
 from shepherd_ros.nodes.command_mux import Choice, CommandMux, Velocity
 from shepherd_ros.nodes.mux_parameters import declare_mux
 from shepherd_ros.nodes.mux_requests import MuxRequests
-from shepherd_ros.nodes.mux_sources import MuxSources, STAMPED, UNSTAMPED
+from shepherd_ros.nodes.mux_sources import MuxSources
 from shepherd_ros.ros.episode_subscriber import listen_to_episodes
 from shepherd_ros.ros.intra_process import Output
 from shepherd_ros.ros.node import ERROR, OK, ShepherdNode, WARN
@@ -20,7 +20,7 @@ from shepherd_ros.wire.decode import Poses
 from shepherd_ros.wire.drivers import Drivers
 from shepherd_ros.wire.encode import encode_command, encode_text, encode_twist
 from shepherd_ros.wire.episode import Episode
-from shepherd_ros.wire.topics import COMMANDS, DRIVERS, SHEPHERD, SHEPHERD_POSES
+from shepherd_ros.wire.topics import command_type, COMMANDS, DRIVERS, SHEPHERD, SHEPHERD_POSES
 
 SILENCE_LOOK_PERIOD = 0.02  # [s] between two looks at who has fallen silent
 LOG_PERIOD = 10.0  # [s] between two logs of a type that is not heard
@@ -44,7 +44,7 @@ class MuxNode(ShepherdNode):
         super().__init__('mux', **kwargs)
         options = declare_mux(self)
         self.body = options.body
-        self.kind = STAMPED if options.stamped else UNSTAMPED
+        self.kind = command_type(options.stamped)
         self.mux = CommandMux(
             options.sources, options.locks, options.default, options.start_timeout
         )
@@ -177,7 +177,7 @@ class MuxNode(ShepherdNode):
             x, y = self.frames.to_world(shepherd, choice.velocity)
         self.outputs[shepherd].publish(
             encode_twist(x, y)
-            if self.kind == UNSTAMPED
+            if self.kind != command_type(stamped=True)
             else encode_command(choice.stamp_ns, self.frame_id, x, y)
         )
 

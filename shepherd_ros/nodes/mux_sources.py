@@ -6,20 +6,16 @@ from collections.abc import Callable
 from functools import partial
 import math
 
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.subscription import Subscription
+from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes.command_mux import Velocity
 from shepherd_ros.nodes.mux_parameters import MuxOptions
 from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.sim.limits import MAX_FLOAT32
 from shepherd_ros.wire.decode import decode_motion, decode_motion_stamped, Motion
-from shepherd_ros.wire.topics import COMMANDS
+from shepherd_ros.wire.topics import command_type, COMMANDS
 
-KINDS = {
-    'geometry_msgs/msg/TwistStamped': decode_motion_stamped,
-    'geometry_msgs/msg/Twist': decode_motion,
-}
-STAMPED, UNSTAMPED = KINDS
+KINDS = {command_type(True): decode_motion_stamped, command_type(False): decode_motion}
 WARNING_PERIOD = 5.0  # [s] between two warnings of one kind
 
 OnCommand = Callable[[str, 'int | None', Velocity, 'int | None'], None]
@@ -75,11 +71,11 @@ class MuxSources:
                 )
 
     def _offered(self, key: tuple[str, int | None]) -> list[str]:
-        """Return the types in which others publish a source, that of the contract if none do."""
+        """Return the types in which others publish a source, that of the commands if none do."""
         infos = self.node.get_publishers_info_by_topic(self.topic(key))
         found = {info.topic_type for info in infos}
         return [kind for kind in KINDS if kind in found] or [
-            self.inputs[key][0] if key in self.inputs else STAMPED
+            self.inputs[key][0] if key in self.inputs else command_type(self.options.stamped)
         ]
 
     def _subscribe(self, key: tuple[str, int | None], kind: str) -> None:
@@ -89,10 +85,9 @@ class MuxSources:
             subscription = self.node.listen(
                 COMMANDS, receiver, kind=kind, decode=KINDS[kind], name=topic
             )
-        except _rclpy.RCLError as error:
+        except ConfigError as error:
             self.node.get_logger().warning(
-                f'{topic} cannot be heard as {kind} ({error}): tried again; a process has one '
-                'type for each topic',
+                f'{error}; tried again',
                 throttle_duration_sec=WARNING_PERIOD,
             )
         else:

@@ -24,6 +24,7 @@ from shepherd_ros.ros.world_subscriber import episode_and_world, LOCKSTEP_SILENC
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_command, encode_twist
 from shepherd_ros.wire.episode import Episode
+from shepherd_ros.wire.topics import command_type
 import torch
 from torch import Tensor
 
@@ -107,7 +108,7 @@ class PolicyNode(ShepherdNode):
         self.deviation = self.timing.deviation
         for h in [h for h in self.outputs if h not in self.present]:
             self.destroy_publisher(self.outputs.pop(h))
-        kind = '' if self.stamped else 'geometry_msgs/msg/Twist'
+        kind = command_type(self.stamped)
         for h in [h for h in self.present if h not in self.outputs]:
             self.outputs[h] = self.advertise(self.commands, h, kind)
         self.scans.listen_to(self.present)

@@ -13,12 +13,6 @@ DEFAULT = {'strombom': 'policy:paper_network', 'reynolds': 'policy:reynolds'}
 PRIMARY = {'third': {'strombom': 'policy:third_strombom', 'reynolds': 'policy:third_reynolds'}}
 
 
-def has_critic(policy: str) -> bool:
-    """Return whether a policy's own critic was trained: only PPO does that, from scans."""
-    update = training_of(policy).get('ppo')
-    return isinstance(update, dict) and update.get('critic_input', 'scans') == 'scans'
-
-
 def trained_on(policy: str) -> set[str]:
     """Return the flocks that a policy was trained with, from its checkpoint."""
     task = training_of(policy).get('task')

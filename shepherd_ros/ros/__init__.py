@@ -10,6 +10,7 @@ __all__ = [
     'reader_quality',
     'runtime',
     'scan_subscriber',
+    'topic_types',
     'transforms',
     'world_subscriber',
 ]

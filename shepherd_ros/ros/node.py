@@ -18,6 +18,7 @@ from rclpy.timer import Timer
 from shepherd_ros import __version__
 from shepherd_ros.ros.intra_process import IntraProcessPublisher, IntraProcessTransport, Output
 from shepherd_ros.ros.parameters import declare, ParameterNode
+from shepherd_ros.ros.topic_types import one_type
 from shepherd_ros.wire.decode import CdrError, DECODERS
 from shepherd_ros.wire.topics import CLOCK, contract, row_of, SHEPHERD, Topic, WORLD_FRAME
 
@@ -85,8 +86,9 @@ class ShepherdNode(ParameterNode):
     def advertise(self, topic: str, shepherd: int | None = None, kind: str = '') -> Output:
         """Return a publisher of a topic of the contract; kind is its alternative type."""
         row = row_of(topic)
-        name = topic.format(h=shepherd)
-        publisher = self.create_publisher(message_type(kind or row.type), name, quality(topic))
+        name, kind = topic.format(h=shepherd), kind or row.type
+        with one_type(name, kind):
+            publisher = self.create_publisher(message_type(kind), name, quality(topic))
         self._watch_publishers(row, publisher)
         return (
             publisher
@@ -128,9 +130,10 @@ class ShepherdNode(ParameterNode):
             else:
                 callback(content)
 
-        subscription = self.create_subscription(
-            message_type(kind), name, receive, profile, raw=True
-        )
+        with one_type(name, kind):
+            subscription = self.create_subscription(
+                message_type(kind), name, receive, profile, raw=True
+            )
         self._watch_publishers(row, subscription)
         if self.transport is not None:
             self.transport.add(subscription)

@@ -3,7 +3,7 @@
 // user stops the shepherd and gives it back.
 'use strict';
 
-const PERIOD = 50; // [ms] between two commands; after 160 ms without one a shepherd stops
+const PERIOD = 30; // [ms] between two commands; after 100 ms without one a shepherd stops
 const SLOW = 0.4; // share of the speed while shift is held
 const DEAD_ZONE = 0.08; // share of the stick's way that means zero
 const KEYS = {

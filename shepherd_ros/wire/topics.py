@@ -30,6 +30,12 @@ def source_topic(name: str) -> str:
     return f'{COMMANDS}/{name}'
 
 
+def command_type(stamped: bool) -> str:
+    """Return the type of commands: with the stamp of the state that they answer, or without."""
+    row = row_of(COMMANDS)
+    return row.type if stamped else row.alternative
+
+
 def lock_topic(name: str) -> str:
     """Return the topic of a lock of mux."""
     return f'mux/locks/{name}'

@@ -116,6 +116,7 @@ def herding(
     """Run a world with two controllers, a mux and a console, open in a browser."""
     patch = pytest.MonkeyPatch()  # a machine that is busy would let go of what a page drives
     patch.setattr(drives, 'DEAD_MAN', PATIENCE)
+    patch.setattr(drives, 'GIVE_BACK_AFTER', PATIENCE)
     patch.setattr(sys, 'executable', str(commands / 'python'))  # recorder and jobs are forks
     driver = chromium(tmp_path_factory.mktemp('profile'))
     page = ConsolePage(driver)

@@ -15,8 +15,9 @@ import pytest
 from shepherd_ros.config import ConfigError
 from shepherd_ros.console.access import make_access
 from shepherd_ros.console.commands import COMMAND_KINDS, CommandError, parse_command
-from shepherd_ros.console.drives import DEAD_MAN, Drives
+from shepherd_ros.console.drives import DEAD_MAN, Drives, GIVE_BACK_AFTER
 from shepherd_ros.console.frame_pace import FramePace
+from shepherd_ros.console.job_values import map_states
 from shepherd_ros.console.jobs import bag_path
 from shepherd_ros.console.metric_history import Curves, MOST_POINTS
 from shepherd_ros.console.sessions import MOST_TEXTS, Session
@@ -223,12 +224,22 @@ def test_one_page_drives_a_shepherd_until_it_is_silent() -> None:
     with pytest.raises(ConfigError, match='driven from page 1'):
         team.drives.drive(2, 0, 0.0, 0.0, 'world', 10.1)
     assert not team.drives.expire(10.09 + DEAD_MAN)
-    assert team.drives.expire(10.11 + DEAD_MAN)
-    assert team.log == [
-        ('take', 0), ('move', 0, 0.5, 0.0), ('move', 0, 0.6, 0.0), ('move', 0, 0.0, 0.0),
-        ('give', 0),
+    assert team.log[-1] == ('move', 0, 0.6, 0.0)
+    for wait in (0.01, 0.02, 0.03):  # it stops once, and the page has it still
+        assert not team.drives.expire(10.1 + DEAD_MAN + wait)
+    assert team.log[2:] == [('move', 0, 0.6, 0.0), ('move', 0, 0.0, 0.0)]
+    assert not team.drives.drive(1, 0, 0.7, 0.0, 'world', 10.3)  # and goes on
+    assert not team.drives.expire(10.29 + GIVE_BACK_AFTER)
+    assert team.drives.expire(10.31 + GIVE_BACK_AFTER)
+    assert team.log[4:] == [
+        ('move', 0, 0.7, 0.0), ('move', 0, 0.0, 0.0), ('move', 0, 0.0, 0.0), ('give', 0)
     ]  # fmt: skip
-    assert team.drives.drive(2, 0, 0.0, 0.0, 'world', 10.4)
+    assert team.drives.drive(2, 0, 0.0, 0.0, 'world', 11.0)
+
+
+def test_a_silent_page_stops_its_shepherd_in_time() -> None:
+    """Half of 0.2 s is left for the way of zero to the shepherd."""
+    assert DEAD_MAN <= 0.1 < GIVE_BACK_AFTER
 
 
 @given(st.lists(st.tuples(
@@ -255,7 +266,10 @@ def test_a_shepherd_is_held_by_one_and_stands_when_it_is_given_back(
             team.drives.drop(shepherd)
         else:
             team.drives.expire(now)
-            assert all(now - hold.last_command <= DEAD_MAN for hold in team.drives.holds.values())
+            for h, hold in team.drives.holds.items():
+                assert now - hold.last_command <= GIVE_BACK_AFTER
+                last = [entry for entry in team.log if entry[:2] == ('move', h)][-1]
+                assert (last[2:] == (0.0, 0.0)) == (now - hold.last_command > DEAD_MAN)
     team.drives.drop(None)
     for h in range(3):
         own = [entry for entry in team.log if entry[1] == h]
@@ -269,6 +283,15 @@ def test_a_shepherd_is_held_by_one_and_stands_when_it_is_given_back(
                 assert before == ('move', h, 0.0, 0.0)
                 held = False
         assert not held
+
+
+# --- value map -----------------------------------------------------------------------------------
+
+
+def test_a_critic_that_has_learned_nothing_is_not_shown() -> None:
+    for name in ('imitation', 'gated'):
+        with pytest.raises(ConfigError, match=f'{name}.*expected a policy that PPO has trained'):
+            map_states({'checkpoint': name, 'shepherd': 0}, lambda **line: None)
 
 
 # --- curves and bags ----------------------------------------------------------------------------

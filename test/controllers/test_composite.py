@@ -104,7 +104,7 @@ def test_a_word_of_another_form_is_refused(text: str) -> None:
         ({'home_within': 2.0, 'away_beyond': 1.0}, 'home_within is 2.0: expected at most'),
         ({'drive': 'composite'}, "drive is 'composite': expected one that is not composite"),
         ({'hold': 'nobody'}, "controller is 'nobody': expected one of"),
-        ({'hold': 'drover:x'}, "controller is 'drover:x': expected a checkpoint only after"),
+        ({'hold': 'drover:x'}, "controller is 'drover:x': expected drover alone; a colon"),
     ],
 )
 def test_options_that_cannot_be_are_refused(options: dict[str, object], message: str) -> None:

@@ -331,6 +331,14 @@ def test_a_mistake_is_named(
     assert message in capsys.readouterr().err
 
 
+def test_scans_that_begin_at_another_angle_are_refused(bags: Path) -> None:
+    episode = next(iter_episodes(open_bag(bag_folders(bags)[0])))
+    lidars = frozenset({(75.0, 1.5708)})
+    turned = replace(episode, frames=[replace(f, lidars=lidars) for f in episode.frames])
+    with pytest.raises(ConfigError, match=r'x:0: scans have angle_min 1\.5708 rad, expected 0'):
+        steps_of(turned, 'x', 0, lambda reason, place, steps: None)
+
+
 def test_bags_of_two_kinds_make_no_data_set(bags: Path, tmp_path: Path) -> None:
     world = replace(WORLD, episode_steps=3)
     other = EnvConfig(world=world, lidar=LidarConfig(n_rays=16))

@@ -371,7 +371,10 @@ def test_cells_run_in_processes_too(tmp_path: Path) -> None:
         (['9'], "experiment is '9': expected one of fig4"),
         (['tabel'], "did you mean 'table'"),
         (['4', '--controllers', 'dog'], "controller is 'dog': expected one of"),
-        (['4', '--controllers', 'pierson:x'], 'expected a checkpoint only after policy:'),
+        (
+            ['4', '--controllers', 'pierson:x'],
+            'expected pierson alone; a colon follows only c',
+        ),
         (['4', '--controllers', 'policy:none'], "checkpoint is 'none': expected a .safetensors"),
         (['4', '--episodes', '0'], '--episodes is 0: expected at least 1'),
         (['4', '--workers', '0'], '--workers is 0: expected at least 1'),

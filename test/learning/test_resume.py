@@ -119,6 +119,14 @@ def cut_after(update: int, number: int = 0) -> Callable[[Line], None]:
     return watch
 
 
+def test_bags_of_a_lidar_with_another_range_are_refused(tmp_path: Path) -> None:
+    world = WorldConfig(5, 1, episode_steps=20)
+    other = EnvConfig(world=world, lidar=replace(LIDAR, range_max=30.0))
+    record_episodes(other, make_controller('drover', world), range(1), tmp_path / 'bags')
+    with pytest.raises(ConfigError, match=r'30\.0 m, expected 75\.0 m'):
+        learn('bc', tmp_path / 'run', tmp_path / 'bags')
+
+
 @pytest.mark.parametrize('kind', KINDS)
 def test_a_run_that_is_cut_off_goes_on_with_the_same_numbers(
     kind: str, tmp_path: Path, bags: Path, whole: Callable[[str], Whole]

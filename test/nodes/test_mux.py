@@ -26,7 +26,7 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.nodes import world_client
 from shepherd_ros.nodes.compose import compose
 from shepherd_ros.resources import share_file
-from shepherd_ros.ros.node import OK, ShepherdNode
+from shepherd_ros.ros.node import ERROR, OK, ShepherdNode
 from shepherd_ros.ros.runtime import spin
 from shepherd_ros.wire.decode import decode_twist_stamped, Poses, Vector
 from shepherd_ros.wire.drivers import Drivers
@@ -320,7 +320,22 @@ def test_a_world_without_stamps_is_driven_and_another_type_is_named(graph: Graph
         mux, 'shepherd_0/cmd_vel is geometry_msgs/msg/TwistStamped, but (.*)'
     )
     assert 'flock_sim hears geometry_msgs/msg/Twist: expected one type' in printed[1]
+    pattern = 'of another type than geometry_msgs/msg/Twist: shepherd_0/cmd_vel as .*Stamped'
+    assert graph.until_status('flock_sim: commands', pattern).level == ERROR
     assert sim.stop() == 0, sim
+
+
+def test_one_process_has_one_type_of_commands(graph: Graph) -> None:
+    graph.host('flock_sim', stamped=False, **SMALL)
+    messages = drivers(graph)
+    graph.host('mux', default='idle', stamped=False)
+    own = graph.host('idle', source='idle', stamped=False)
+    until_driven(graph, messages, 'idle', 'idle')
+    graph.until(lambda: messages[-1].step > 3, 'steps')
+    graph.end(own)
+    graph.host('strombom', source='idle')
+    with pytest.raises(ConfigError, match=r'shepherd_0/cmd_vel/idle is .*TwistStamped for one'):
+        graph.until(lambda: False, 'another type is refused')
 
 
 def test_a_key_that_turns_a_shepherd_turns_where_forward_is(graph: Graph) -> None:

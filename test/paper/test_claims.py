@@ -29,7 +29,7 @@ from shepherd_ros.experiments.results import (
 from shepherd_ros.experiments.samples import Samples, samples_of
 from shepherd_ros.experiments.setting import canonical_setting, env_config, Setting
 from shepherd_ros.experiments.table import grid, grids, interval_text, markdown
-from shepherd_ros.experiments.value_map import places, value_map, ValueMap
+from shepherd_ros.experiments.value_map import has_critic, places, value_map, ValueMap
 from shepherd_ros.paper.claims import (
     ABOVE,
     AGREES,
@@ -46,7 +46,7 @@ from shepherd_ros.paper.claims import (
     verdict,
 )
 from shepherd_ros.paper.curves import Curve, curve_verdict, find_curves, smoothed
-from shepherd_ros.paper.primary import has_critic, primary_policies, trained_on
+from shepherd_ros.paper.primary import primary_policies, trained_on
 from shepherd_ros.paper.quantities import below, change, ratio, slope
 from shepherd_ros.paper.statements import CLAIMS
 from shepherd_ros.paper.stopping import is_certain
