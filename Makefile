@@ -4,10 +4,17 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 ROS ?= jazzy
 
+TASK ?= herding
+ifeq ($(TASK),herding)
 CONTROLLER ?= policy
 SHEEP ?= 100
-SHEPHERDS ?= 3
 FLOCK ?= strombom
+else
+CONTROLLER ?= block
+SHEEP ?=
+FLOCK ?=
+endif
+SHEPHERDS ?= 3
 PRESET ?= default
 SEED ?= 0
 STEPS ?= 1000
@@ -18,8 +25,8 @@ PORT ?= 8080
 .DEFAULT_GOAL := demo
 
 demo: $(VENV)/.demo  # a learned policy herds 100 sheep; pictures in out/demo/
-	$(BIN)/shepherd demo --controller $(CONTROLLER) --sheep $(SHEEP) --shepherds $(SHEPHERDS) \
-	  --flock $(FLOCK) --preset $(PRESET) --seed $(SEED) --steps $(STEPS) --out $(OUT)
+	$(BIN)/shepherd demo --task $(TASK) --controller $(CONTROLLER) --shepherds $(SHEPHERDS) \
+	  $(if $(SHEEP),--sheep $(SHEEP)) $(if $(FLOCK),--flock $(FLOCK)) --preset $(PRESET) --seed $(SEED) --steps $(STEPS) --out $(OUT)
 
 console: $(VENV)/.demo  # everything runs until Ctrl-C, with a page in the browser to show and drive it
 	$(BIN)/shepherd console --controller $(CONTROLLER) --sheep $(SHEEP) --shepherds $(SHEPHERDS) \

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import json
 from pathlib import Path
 import re
+from typing import Any
 
 from manual.pages import pages
 from manual.wire import DOCUMENTED
@@ -22,7 +23,7 @@ from shepherd_ros.policy.checkpoint import (
 )
 from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.lidar_layout import CHANNELS, PAPER_CHANNELS
-from shepherd_ros.sim.metrics import METRICS
+from shepherd_ros.sim.tasks import TASKS
 from shepherd_ros.sim.world import SpawnConfig, WorldConfig
 from shepherd_ros.wire import topics
 from shepherd_ros.wire.schemas import (
@@ -54,7 +55,8 @@ def members() -> dict[str, list[Topic]]:
             member(scans, name, meaning=CHANNELS[name].meaning + stamp) for name in PAPER_CHANNELS
         ],
         values.name: [
-            member(values, m.name, unit=m.unit, meaning=m.meaning) for m in METRICS.values()
+            member(values, m.name, unit=m.unit, meaning=m.meaning)
+            for m in {m.name: m for kind in TASKS.values() for m in kind.metrics.values()}.values()
         ],
     }
 
@@ -70,17 +72,40 @@ def topics_text(text: str) -> str:
 def episode_text(text: str) -> str:
     """Return episode.schema.json with the world and the flock models anew."""
     episode = json.loads(text)
-    nested = {name: {'$ref': f'#/$defs/{name}'} for name in ('spawn', 'flock')}
+    nested = {name: {'$ref': f'#/$defs/{name}'} for name in ('spawn', 'flock', 'task')}
     parts = {'world': config_schema(WorldConfig, **nested), 'spawn': config_schema(SpawnConfig)}
     for name, model in FLOCK_MODELS.items():
         constant = {'description': 'name of this flock model', 'const': name}
         parts[name] = config_schema(model.config, model=constant)
+    for name, kind in TASKS.items():
+        constant = {'description': 'name of this task', 'const': name}
+        parts[f'task_{name}'] = config_schema(kind, name=constant)
+    parts['world']['required'].remove('task')  # of herding it is left out
+    parts['task'] = task_schema()
     episode['$defs'] |= parts
     episode['$defs']['flock']['allOf'] = [
         {'if': {'properties': {'model': {'const': name}}}, 'then': {'$ref': f'#/$defs/{name}'}}
         for name in FLOCK_MODELS
     ]
     return json.dumps(episode, indent=2, ensure_ascii=False) + '\n'
+
+
+def task_schema() -> dict[str, Any]:
+    """Return the schema of a task; one from elsewhere may have any options."""
+    about = {'description': 'name of the task', 'type': 'string', 'minLength': 1}
+    return {
+        'description': 'What the team has to do, and options of its start; herding if absent.',
+        'type': 'object',
+        'required': ['name'],
+        'properties': {'name': about},
+        'allOf': [
+            {
+                'if': {'properties': {'name': {'const': name}}},
+                'then': {'$ref': f'#/$defs/task_{name}'},
+            }
+            for name in TASKS
+        ],
+    }
 
 
 def parameter_file(name: str) -> str:

@@ -48,9 +48,10 @@ def herding_stack(
     world, lidar = {}, {}
     for path, value in (changes or {}).items():
         room, _, name = path.partition('.')
+        part, _, inner = name.partition('.')
         if room == 'world':
-            inner = name.removeprefix('flock.')
-            world[name if inner == name else f'{model}.{inner}'] = value
+            own = {'flock': model, 'task': flock_sim.get('task', 'herding')}
+            world[f'{own[part]}.{inner}' if part in own else name] = value
         elif room in ('lidar', 'noise_std'):
             lidar[name or path] = value
         else:
@@ -150,7 +151,11 @@ def stack_in(
     standby are controllers that mux can switch to.
     """
     setting = canonical_setting(setting)
-    flock_sim = {'flock': setting.flock, 'preset': setting.preset, **flock_sim}
+    flock_sim = {
+        'task': setting.task, 'flock': setting.flock, 'preset': setting.preset, **flock_sim
+    }  # fmt: skip
+    if setting.task == 'herding':
+        del flock_sim['task']
     changes = _own_lidar(controller, flock_sim) | changes_of(setting)
     stack = herding_stack(controller, setting.shepherds, changes, **flock_sim)
     others = [_seeing(controller_process(word, flock_sim), changes) for word in standby]

@@ -75,7 +75,10 @@ class LaunchValues:
 
 def launch_values(given: dict[str, str]) -> LaunchValues:
     """Return the arguments of the launch file in their types, or raise ConfigError."""
-    named = {f.name: read(name, given[name], f.default) for name, f in _OF_SETTING.items()}
+    plain = Setting()  # with an example of each value
+    named = {
+        f.name: read(name, given[name], getattr(plain, f.name)) for name, f in _OF_SETTING.items()
+    }
     paced = {f.name: read(f.name, given[f.name], f.default) for f in fields(Episodes)}
     controller, checkpoint = given['controller'], given['checkpoint']
     if checkpoint and controller != 'policy':

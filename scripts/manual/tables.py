@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from typing import Any
 
-from shepherd_ros.config import Config
+from shepherd_ros.config import choices_of, Config
 
 NOTE = '<!-- Made by `make generate`: edit the code, not this page. -->\n\n'
 
@@ -52,7 +52,7 @@ def fields_of(config: Config, prefix: str = '') -> list[list[str]]:
         if isinstance(value, Config):
             rows += fields_of(value, f'{prefix}{f.name}.')
             continue
-        allowed = bounds(about.get('low'), about.get('high'), about.get('choices'))
+        allowed = bounds(about.get('low'), about.get('high'), choices_of(about))
         shown = f'{value:.6g}' if isinstance(value, float) else value
         rows.append([code(prefix + f.name), code(shown), allowed, escaped(about.get('doc', ''))])
     return rows

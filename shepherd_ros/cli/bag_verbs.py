@@ -203,6 +203,7 @@ class _Render:
             metrics_over_time,
             ranges_of,
             states_of,
+            task_of,
             track_of,
         )
         from shepherd_ros.sim.metrics import shown
@@ -214,9 +215,11 @@ class _Render:
         claimed_folder('--output', self.output, 'replay.html', self.overwrite)
         name = f'{self.bag.name}, episode {episode.number}, seed {episode.seed}'
         track = track_of(episode, self.title or name)
-        curves = metrics_over_time(states_of(episode), episode.episode_steps)
-        drawn = {metric.name: curves[metric.name] for metric in shown('page')}
-        units = {metric.name: metric.unit for metric in shown('page') if metric.unit != '1'}
+        task = task_of(episode)
+        curves = metrics_over_time(states_of(episode), episode.episode_steps, task)
+        on_page = shown('page', task.metrics)
+        drawn = {metric.name: curves[metric.name] for metric in on_page}
+        units = {metric.name: metric.unit for metric in on_page if metric.unit != '1'}
         paths = [self.output / name for name in ('tracks.png', 'herding.gif', 'replay.html')]
         draw_tracks(track, paths[0])
         with progress('drawing') as show:

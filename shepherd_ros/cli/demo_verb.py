@@ -28,6 +28,18 @@ if TYPE_CHECKING:
 DEMO_TIMEOUT = 60.0  # [s] wall time without any news before giving up
 
 
+def progress_text(metrics: dict[str, float]) -> str:
+    """Return what the progress of a demo says: the metrics of this moment."""
+    if 'fraction_in_goal' in metrics:
+        return (
+            f'{metrics["fraction_in_goal"]:4.0%} in goal, flock '
+            f'{metrics["goal_distance"]:5.1f} m from its center'
+        )
+    return ', '.join(f'{name.replace("_", " ")} {value:.3g}' for name, value in metrics.items())[
+        :60
+    ]
+
+
 @dataclass(kw_only=True)
 class Demo(OneSetting):
     """Herd a flock over ROS 2 topics with separate processes; draw what happened."""
@@ -71,10 +83,13 @@ class Demo(OneSetting):
         # rclpy reads the environment when it is imported
         from shepherd_ros.nodes.episode_probe import open_episode_probe
 
-        with running(self.out / 'logs') as processes, open_episode_probe() as (probe, spin):
+        with (
+            running(self.out / 'logs') as processes,
+            open_episode_probe(task=setting.task) as (probe, spin),
+        ):
             self._herd(stack, setting.steps, processes, probe, spin)
         times, states = probe.trajectory()
-        console.print(self._table(states, setting.steps))
+        console.print(self._table(states, setting))
         self._draw(setting, probe, times, states, console)
         return 0
 
@@ -112,11 +127,7 @@ class Demo(OneSetting):
 
             def done() -> bool:
                 metrics = probe.metrics
-                text = (
-                    f'step {max(probe.step, 0)} of {steps}, '
-                    f'{metrics["fraction_in_goal"]:4.0%} in goal, flock '
-                    f'{metrics["goal_distance"]:5.1f} m from its center'
-                )
+                text = f'step {max(probe.step, 0)} of {steps}, {progress_text(metrics)}'
                 show(max(probe.step, 0), text=text)
                 return processes.ended('flock_sim')
 
@@ -125,9 +136,10 @@ class Demo(OneSetting):
             while time.monotonic() < limit:
                 spin(0.1)
             done()
-        if len(probe.states) != steps + 1:
+        expected = probe.step + 1 if probe.outcome == 'terminated' else steps + 1
+        if len(probe.states) != expected:
             raise UserError(
-                f'heard {len(probe.states)} of {steps + 1} states: the machine is too '
+                f'heard {len(probe.states)} of {expected} states: the machine is too '
                 f'busy to follow; the logs are in {processes.logs}'
             )
 
@@ -157,16 +169,18 @@ class Demo(OneSetting):
                 )
 
     @staticmethod
-    def _table(states: WorldState, steps: int) -> Table:
-        """Return the metrics of all states (T) as a table, the paper's five first."""
+    def _table(states: WorldState, setting: Setting) -> Table:
+        """Return the metrics of all states (T) as a table, the most important first."""
+        from shepherd_ros.experiments.setting import env_config
         from shepherd_ros.recordings.replay import metrics_over_time
         from shepherd_ros.sim.metrics import shown
 
-        curves = metrics_over_time(states, steps)
+        task = env_config(setting).world.task
+        curves = metrics_over_time(states, setting.steps, task)
         table = Table(title='Metrics of the episode')
         for column in ('metric', 'value', 'unit', 'meaning'):
             table.add_column(column, justify='right' if column == 'value' else 'left')
-        for metric in shown('summary'):
+        for metric in shown('summary', task.metrics):
             value = f'{curves[metric.name][-1]:.4g}'
             table.add_row(metric.name, value, metric.unit, metric.meaning)
         return table
@@ -180,17 +194,21 @@ class Demo(OneSetting):
         console: Console,
     ) -> None:
         """Write picture and animation of the states (T) at times (T,) s."""
+        from shepherd_ros.sim.tasks import TASKS
         from shepherd_ros.view.track import EpisodeTrack
 
+        words = TASKS[setting.task].words
         track: Any = EpisodeTrack(
             times=times,
             sheep=states.sheep.numpy(),
             shepherds=states.shepherds.numpy(),
             goal=states.goal.numpy(),
             goal_radius=float(states.goal_radius[0]),
-            title=f'{self.controller}, {setting.sheep} sheep ({setting.flock}), seed {self.seed}',
+            title=f'{self.controller}, {setting.sheep} {words[0]} ({setting.flock}), '
+            f'seed {self.seed}',
             ranges=probe.ranges(),
             lidar_shepherd=probe.shepherd,
+            words=words,
         )
         from shepherd_ros.view.animation import animate
         from shepherd_ros.view.picture import draw_tracks

@@ -15,9 +15,9 @@ from shepherd_ros.config import choices_of, Config
 COMMON = {  # of all trainings: default and meaning
     'out': (None, 'folder of the run; one that was interrupted goes on'),
     'pretrained': ('', 'checkpoint to start from, a file or a shipped name; with its --policy'),
-    'quick': (False, 'for a first result in ten minutes: a small network, fewer samples'),
+    'quick': (False, 'a first result in ten minutes, small network'),
     'threads': (1, 'threads of torch'),
-    'device': ('cpu', 'where PPO keeps worlds and networks: cpu or cuda'),
+    'device': ('cpu', 'of worlds and networks of PPO: cpu or cuda'),
 }
 BAGS = 'bags, folders of bags, or data sets of `shepherd dataset build`'
 _TITLES = {

@@ -15,6 +15,7 @@ from shepherd_ros.cli.code import commit
 from shepherd_ros.cli.out_folders import claimed_folder
 from shepherd_ros.cli.progress import progress
 from shepherd_ros.cli.train_help import BAGS, COMMON, print_help
+from shepherd_ros.cli.train_tasks import for_task, other_task, progress_names
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.config import Config
 from shepherd_ros.learning.annealing import stages
@@ -31,7 +32,6 @@ from shepherd_ros.policy.checkpoint import load_policy
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.policy.warm_start import warm_start
-from shepherd_ros.sim.metrics import shown
 from shepherd_ros.sim.observation import ObservationConfig
 import torch
 import tyro
@@ -147,6 +147,8 @@ def train(words: list[str], doc: str) -> int:
     if chosen.pretrained:  # what is not said about the policy is as in the checkpoint
         policy = load_policy(chosen.pretrained).config
         recipes = {name: replace(recipe, policy=policy) for name, recipe in recipes.items()}
+    if task := other_task(chosen):
+        recipes = {name: for_task(recipe, task) for name, recipe in recipes.items()}
     if recipes is not DEFAULT_RECIPES:
         chosen = parsed(recipes)
     chosen.command = shlex.join(['shepherd', 'train', *words])
@@ -240,7 +242,7 @@ def show(line: dict[str, Any]) -> None:
     parts += [f'{name} {line[name]:.4f}' for name in watched]
     parts += [
         f'{name} {line["eval/" + name]:.2f}'
-        for name in ('return', *(metric.name for metric in shown('progress')))
+        for name in ('return', *progress_names())
         if 'eval/' + name in line
     ]
     parts.append(f'{left} left')

@@ -87,15 +87,22 @@ def _episode(path: str, number: int) -> RecordedEpisode:
 
 def _written(episode: RecordedEpisode, title: str, folder: str) -> str:
     """Write the record of a replay page and return the name of the file."""
-    from shepherd_ros.recordings.replay import metrics_over_time, ranges_of, states_of, track_of
+    from shepherd_ros.recordings.replay import (
+        metrics_over_time,
+        ranges_of,
+        states_of,
+        task_of,
+        track_of,
+    )
     from shepherd_ros.sim.metrics import shown
     from shepherd_ros.view.page import page_record
 
-    curves = metrics_over_time(states_of(episode), episode.episode_steps)
+    task = task_of(episode)
+    curves = metrics_over_time(states_of(episode), episode.episode_steps, task)
     record = page_record(
         track_of(episode, title),
-        {metric.name: curves[metric.name] for metric in shown('page')},
-        {metric.name: metric.unit for metric in shown('page')},
+        {metric.name: curves[metric.name] for metric in shown('page', task.metrics)},
+        {metric.name: metric.unit for metric in shown('page', task.metrics)},
         ranges_of(episode),
     )
     name = f'{secrets.token_hex(12)}.json'
@@ -155,17 +162,17 @@ def _counterfactual(request: Mapping[str, Any]) -> dict[str, Any]:
 
 def _table(recorded: RecordedEpisode, future: RecordedEpisode) -> list[dict[str, Any]]:
     """Return the metrics of both after the last step that both have."""
-    from shepherd_ros.recordings.replay import metrics_over_time, states_of
+    from shepherd_ros.recordings.replay import metrics_over_time, states_of, task_of
     from shepherd_ros.sim.metrics import shown
 
     last = max({f.step for f in recorded.frames} & {f.step for f in future.frames})
-    columns = []
+    task, columns = task_of(recorded), []
     for episode in (recorded, future):
         cut = replace(episode, frames=[f for f in episode.frames if f.step <= last])
-        columns.append(metrics_over_time(states_of(cut), episode.episode_steps))
+        columns.append(metrics_over_time(states_of(cut), episode.episode_steps, task))
     return [
         {'name': m.name, 'unit': m.unit, 'values': [float(c[m.name][-1]) for c in columns]}
-        for m in shown('page')
+        for m in shown('page', task.metrics)
     ]
 
 

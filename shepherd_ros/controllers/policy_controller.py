@@ -70,6 +70,7 @@ class LearnedController(Controller):
             )
 
             policy = load_policy(config.checkpoint)
+        require_task(policy, world)
         self.policy = policy
         self.dtype = dtype
         self.timing = self.policy.config.timing(world.dt)
@@ -96,7 +97,7 @@ class LearnedController(Controller):
 
     def read_ranges(self, state: WorldState) -> Tensor:
         """Return the ranges of the shepherds' lidars, (..., H, C, R) m."""
-        return scan(state, self.policy.config.lidar)
+        return scan(self.world.task.observed(state), self.policy.config.lidar)
 
     def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return commands (..., H, 2) m/s, held between decisions, and memory."""
@@ -120,3 +121,12 @@ def sample_noise(seed: Tensor, step: Tensor, team: int) -> Tensor:
     """Return the standard normal numbers (..., H, 2) of sampled actions of a team."""
     index = torch.arange(2 * team, device=step.device)
     return normal(seed, step, Stream.ACTION, index).unflatten(-1, (-1, 2))
+
+
+def require_task(policy: Policy, world: WorldConfig) -> None:
+    """Raise ConfigError unless the world has the task that a policy was trained for."""
+    if world.task.name != policy.config.task:
+        raise ConfigError(
+            f'task is {world.task.name}: expected {policy.config.task}, for which the policy was '
+            'trained; choose a checkpoint that was trained for yours'
+        )

@@ -64,7 +64,10 @@ def run_cell(cell: Cell, code: str = '') -> pa.Table:
         'version': __version__,
         'code': code,
     }
-    columns: dict[str, Any] = {name: result[name].double().tolist() for name in value_names()}
+    columns: dict[str, Any] = {
+        name: result[name].double().tolist() if name in result else [None] * cell.count
+        for name in value_names()
+    }
     columns['seed'] = list(range(cell.first, cell.first + cell.count))
     return table_of(constants, columns)
 

@@ -131,7 +131,7 @@ class FaultyLidarController(LearnedController):
     def read_ranges(self, state: WorldState) -> Tensor:
         """Return ranges (..., H, C, R) m, with fewer rays repeated for their neighbours."""
         n_rays = self.policy.config.lidar.n_rays
-        ranges = scan(state, self.lidar)
+        ranges = scan(self.world.task.observed(state), self.lidar)
         return ranges.repeat_interleave(n_rays // self.lidar.n_rays, dim=-1).roll(
             -(n_rays // self.lidar.n_rays // 2), dims=-1
         )

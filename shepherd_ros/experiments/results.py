@@ -19,14 +19,16 @@ from shepherd_ros.controllers import CONTROLLERS
 from shepherd_ros.experiments.setting import Setting, SETTING_FIELDS
 from shepherd_ros.sim.env import EnvConfig
 from shepherd_ros.sim.metrics import METRICS
+from shepherd_ros.sim.tasks import TASKS
 
 RESULTS_FORMAT = {b'shepherd_ros': b'episodes 1'}
 ARROW_TYPES = {int: pa.int64(), float: pa.float64(), bool: pa.bool_(), str: pa.string()}
 
 
 def value_names() -> tuple[str, ...]:
-    """Return the names of the values of every episode: the metrics and `return`."""
-    return (*METRICS, 'return')
+    """Return the names of the values of episodes: the metrics of all tasks and `return`."""
+    metrics = dict.fromkeys(name for task in TASKS.values() for name in task.metrics)
+    return (*metrics, 'return')
 
 
 def schema() -> pa.Schema:
@@ -113,7 +115,8 @@ def read_table(path: Path) -> pa.Table:
     """
     Return the rows of one file, or raise ConfigError if it is not one of ours.
 
-    A missing option of the setting gets its default, a missing metric NaN; unknown columns are
+    A missing option of the setting gets its default, a missing metric NaN, or null if it is one of
+    another task; unknown columns are
     left out. Keys are those of this version.
     """
     try:
@@ -125,7 +128,9 @@ def read_table(path: Path) -> pa.Table:
         raise ConfigError(
             f'{path} is no table of episodes: expected what shepherd evaluate writes'
         )
+    others = set(value_names()) - {*METRICS, 'return'}  # metrics of other tasks
     defaults = Setting().to_dict() | dict.fromkeys(value_names(), math.nan)
+    defaults |= dict.fromkeys(others, None)
     types = dict(zip(table.schema.names, table.schema.types, strict=True))
     arrays = []
     for f in schema():

@@ -34,4 +34,6 @@ def run_episodes(
         moment = advance(moment, command)
         total += moment.reward
         on_step(step + 1)
+        if config.world.task.ends and moment.ended.all():
+            break
     return {name: v.cpu() for name, v in (moment.metrics() | {'return': total}).items()}

@@ -33,9 +33,10 @@ def named(path: str, default: Any, doc: str) -> Any:
 class Setting(Config):
     """A world of section 5 of the paper, with the changes of an experiment."""
 
-    sheep: int = named('world.n_sheep', 100, 'sheep in the flock')
+    task: str = option('herding', 'what the team has to do; a wrong one shows all of them')
+    sheep: int = named('world.n_sheep', -1, 'sheep in the flock; -1: of the task, 100 in herding')
     shepherds: int = named('world.n_shepherds', 3, 'shepherds, each with its lidar')
-    flock: str = option('strombom', 'flock model by its name; a wrong one shows all of them')
+    flock: str = option('', 'flock model; empty: of the task, strombom in herding')
     preset: str = option('default', 'named setting of time step and flock')
     noise: float = named('noise_std', 0.0, 'noise on all perceived positions [m]')
     repulsion: float = named('world.flock.', 0.0, 'rho_a of the flock; 0: that of the preset')
@@ -50,9 +51,36 @@ class Setting(Config):
         (), 'PATH=VALUE: any option of the environment, such as world.spawn.flock_groups=2'
     )
 
+    def __post_init__(self) -> None:
+        """Fill in what the task says."""
+        super().__post_init__()
+        if self.sheep == -1 or not self.flock:
+            sheep, flock = of_task(self.task)
+            object.__setattr__(self, 'sheep', sheep if self.sheep == -1 else self.sheep)
+            object.__setattr__(self, 'flock', self.flock or flock)
+
+    @classmethod
+    def blank(cls) -> Setting:
+        """Return the setting before the task fills in what a command line does not say."""
+        setting = cls()
+        for name in ('sheep', 'flock'):
+            object.__setattr__(setting, name, getattr(cls, name))
+        return setting
+
+
+def of_task(task: str) -> tuple[int, str]:
+    """Return the number of sheep and the flock model of a task, or raise ConfigError."""
+    if task == 'herding':  # without torch
+        return 100, 'strombom'
+    from shepherd_ros.sim.presets import world_preset
+    from shepherd_ros.sim.tasks import TASKS
+
+    return world_preset(task=task).n_sheep, TASKS[task].flock
+
 
 SETTING_FIELDS = tuple(f.name for f in fields(Setting) if f.name != 'set')
 _TEXTS = {
+    'task': 'task {}',
     'sheep': '{} sheep',
     'shepherds': 'team of {}',
     'flock': '{} flock',
@@ -68,12 +96,14 @@ _TEXTS = {
 
 def describe_setting(setting: Setting) -> str:
     """Return the differences of a setting from the default one, in words."""
-    base = canonical_setting(Setting(preset=setting.preset, flock=setting.flock))
-    plain = Setting()
+    base = canonical_setting(
+        Setting(task=setting.task, preset=setting.preset, flock=setting.flock)
+    )
+    plain, of_base = Setting(), ('task', 'preset', 'flock')
     words = [
         text.format(getattr(setting, name))
         for name, text in _TEXTS.items()
-        if getattr(setting, name) != getattr(plain if name in ('preset', 'flock') else base, name)
+        if getattr(setting, name) != getattr(plain if name in of_base else base, name)
     ]
     return ', '.join([*words, *setting.set]) or 'default setting'
 
@@ -115,7 +145,7 @@ def _base(setting: Setting) -> EnvConfig:
     from shepherd_ros.sim.presets import world_preset
     from shepherd_ros.sim.rollout import EnvConfig
 
-    return EnvConfig(world=world_preset(setting.preset, setting.flock))
+    return EnvConfig(world=world_preset(setting.preset, setting.flock, setting.task))
 
 
 def _paths(config: EnvConfig) -> dict[str, str]:

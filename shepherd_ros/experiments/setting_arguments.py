@@ -9,8 +9,8 @@ from shepherd_ros.arguments import arguments_of, configured
 from shepherd_ros.experiments.setting import Setting
 import tyro
 
-ONE_SETTING = arguments_of(Setting())
-SEVERAL_SETTINGS = arguments_of(Setting(), hidden=('preset',), several=True)
+ONE_SETTING = arguments_of(Setting.blank())
+SEVERAL_SETTINGS = arguments_of(Setting.blank(), hidden=('preset',), several=True)
 
 
 @dataclass(kw_only=True)

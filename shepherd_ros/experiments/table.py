@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import csv
 from io import StringIO
 
@@ -9,7 +10,8 @@ from shepherd_ros.experiments.bootstrap import mean_interval
 from shepherd_ros.experiments.methods import label
 from shepherd_ros.experiments.samples import means, Samples
 from shepherd_ros.experiments.setting import SETTING_FIELDS
-from shepherd_ros.sim.metrics import METRICS, shown
+from shepherd_ros.sim.metrics import Metric, shown
+from shepherd_ros.sim.tasks import TASKS
 
 
 def number_text(value: float) -> str:
@@ -22,6 +24,11 @@ def interval_text(mean: float, low: float, high: float) -> str:
     return f'{number_text(mean)} [{number_text(low)}, {number_text(high)}]'
 
 
+def metrics_of(samples: Samples) -> Mapping[str, Metric]:
+    """Return the metrics of the task of an experiment."""
+    return TASKS[samples.settings[0].task].metrics
+
+
 def varying(samples: Samples) -> list[str]:
     """Return the fields that differ between settings of the experiment, `sheep` if none does."""
     names = [n for n in SETTING_FIELDS if len({getattr(s, n) for s in samples.settings}) > 1]
@@ -30,7 +37,7 @@ def varying(samples: Samples) -> list[str]:
 
 def markdown(samples: Samples) -> str:
     """Return a table with a row for each setting and controller."""
-    keys, columns = varying(samples), shown('summary')
+    keys, columns = varying(samples), shown('summary', metrics_of(samples))
     lines = [
         f'| {" | ".join(keys)} | controller | {" | ".join(metric.words for metric in columns)} |',
         '|' + '--:|' * len(keys) + ':--|' + '--:|' * len(columns),
@@ -73,7 +80,7 @@ def grids(samples: Samples) -> str:
     )
     parts = [
         f'\n## {metric.words.capitalize()}\n\n{grid(samples, metric.name)}'
-        for metric in shown('summary')
+        for metric in shown('summary', metrics_of(samples))
     ]
     return intro + ''.join(parts)
 
@@ -82,7 +89,7 @@ def csv_rows(samples: Samples) -> str:
     """Return a line for each setting, controller and metric, without a header."""
     text = StringIO()
     write = csv.writer(text, lineterminator='\n').writerow
-    for controller, setting, values in means(samples, tuple(METRICS)):
+    for controller, setting, values in means(samples, tuple(metrics_of(samples))):
         for name, episodes in values.items():
             ends = [f'{float(x):.6g}' for x in mean_interval(episodes)]
             fields = [getattr(setting, field) for field in SETTING_FIELDS if field != 'steps']

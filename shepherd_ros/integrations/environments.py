@@ -2,9 +2,9 @@
 The environment in the terms of Gymnasium (single and vector) and of PettingZoo (parallel).
 
 All run sim.env: an observation is the network's input (D, L) float32, an action a velocity (2,)
-in units of the top speed, relative to the ray in front of the input. The reward is the team's. An
-episode ends by its time limit only, which is a truncation. Without a seed, reset() goes on with
-other episodes than before.
+in units of the top speed, relative to the ray in front of the input. The reward is the team's. A
+time limit is a truncation; a task such as protection also has terminal states. Without a seed,
+reset() goes on with other episodes than before.
 
 Once this is imported, gymnasium.make('shepherd_ros/Herding-v0', config=EnvConfig(...)) makes one
 world with one shepherd, and gymnasium.make_vec() many.
@@ -58,12 +58,13 @@ class HerdingEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Return observation (D, L), reward, ends and info after an action (2,)."""
-        obs, reward, truncated, info = self.worlds.step(np.asarray(action)[None, None])
+        obs, reward, *ends, info = self.worlds.step(np.asarray(action)[None, None])
+        terminated, truncated = (bool(end[0]) for end in ends)
         episode_info: dict[str, Any] = {}
-        if truncated[0]:
+        if terminated or truncated:
             obs = self.worlds.observe(info['final_observation'])
             episode_info = {name: float(value[0]) for name, value in info['final_metrics'].items()}
-        return obs[0, 0], float(reward[0]), False, bool(truncated[0]), episode_info
+        return obs[0, 0], float(reward[0]), terminated, truncated, episode_info
 
 
 class HerdingVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
@@ -103,17 +104,17 @@ class HerdingVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Return observations, rewards, terminations, truncations (num_envs,) each, and info."""
         actions_by_world = np.asarray(actions).reshape(-1, self.team, 2)
-        obs, reward, truncated, info = self.worlds.step(actions_by_world)
+        obs, reward, terminated, truncated, info = self.worlds.step(actions_by_world)
         episode_info: dict[str, Any] = {}
         if 'final_observation' in info:
-            ended = self._each(truncated)
+            ended = self._each(terminated | truncated)
             episode_info['final_obs'] = self._flat(self.worlds.observe(info['final_observation']))
             final: dict[str, np.ndarray] = {}
             for name, value in info['final_metrics'].items():
                 final |= {name: self._each(value), f'_{name}': ended}
             episode_info |= {'final_info': final, '_final_obs': ended, '_final_info': ended}
-        ended = self._each(truncated)
-        return self._flat(obs), self._each(reward), np.zeros_like(ended), ended, episode_info
+        ends = self._each(terminated), self._each(truncated)
+        return self._flat(obs), self._each(reward), *ends, episode_info
 
     def _flat(self, obs: np.ndarray) -> np.ndarray:
         return obs.reshape(self.num_envs, *obs.shape[2:])
@@ -181,8 +182,9 @@ class HerdingParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         if missing:
             raise ConfigError(f'actions lack {missing}: expected one for each of {self.agents}')
         stacked = np.stack([actions[name] for name in self.agents])[None]
-        obs, reward, truncated, info = self.worlds.step(stacked)
-        names, ended = self.agents, bool(truncated[0])
+        obs, reward, *ends, info = self.worlds.step(stacked)
+        terminated, truncated = (bool(end[0]) for end in ends)
+        names, ended = self.agents, terminated or truncated
         episode_info: dict[str, Any] = {}
         if ended:
             obs = self.worlds.observe(info['final_observation'])
@@ -190,8 +192,8 @@ class HerdingParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         result = (
             self._by_name(obs),
             dict.fromkeys(names, float(reward[0])),
-            dict.fromkeys(names, False),
-            dict.fromkeys(names, ended),
+            dict.fromkeys(names, terminated),
+            dict.fromkeys(names, truncated),
             {name: dict(episode_info) for name in names},
         )
         if ended:

@@ -55,13 +55,15 @@ class HerdingWorlds:
         stack, _ = self.env.reset(seed)
         return self._observe_stack(stack)
 
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, Tensor, Tensor, dict[str, Any]]:
-        """Return inputs, reward (B,), truncated (B,) and info after actions (B, H, 2)."""
+    def step(
+        self, action: np.ndarray
+    ) -> tuple[np.ndarray, Tensor, Tensor, Tensor, dict[str, Any]]:
+        """Return inputs, reward, terminated, truncated (B,) and info after actions (B, H, 2)."""
         speed = self.config.world.shepherd_speed
         velocity = torch.as_tensor(action, dtype=torch.float32) * speed
         command = rotate_by_ray(velocity, self.first, self.config.lidar.n_rays)
-        stack, reward, _, truncated, info = self.env.step(command)
-        return self._observe_stack(stack), reward, truncated, info
+        stack, reward, terminated, truncated, info = self.env.step(command)
+        return self._observe_stack(stack), reward, terminated, truncated, info
 
     def _observe_stack(self, stack: Tensor | None) -> np.ndarray:
         assert stack is not None

@@ -63,15 +63,29 @@ class HerdingVecEnv(VecEnv):
     def step_wait(self) -> VecEnvStepReturn:
         """Return observations, rewards (sums over the steps), ends (num_envs,) and infos."""
         total = np.zeros(self.num_envs, np.float32)
+        infos: Infos = [{'TimeLimit.truncated': False} for _ in total]
+        ended = np.zeros(self.num_envs, bool)
         for _ in range(self.hold):
-            obs, reward, _, truncated, info = self.env.step(self.actions)
-            total += reward
-        infos: Infos = [{'TimeLimit.truncated': bool(end)} for end in truncated]
-        for i in truncated.nonzero()[0]:
+            obs, reward, terminated, truncated, info = self.env.step(self.actions)
+            # what a new episode does before its first action counts for nothing
+            total += np.where(ended, 0.0, reward).astype(np.float32)
+            self._note_ends(infos, (terminated | truncated) & ~ended, truncated, info)
+            ended |= terminated | truncated
+        return obs, total, ended, cast(Any, infos)
+
+    @staticmethod
+    def _note_ends(
+        infos: Infos, ends: np.ndarray, truncated: np.ndarray, info: dict[str, Any]
+    ) -> None:
+        """Write the episodes that end now, (num_envs,) bool, into infos."""
+        for i in ends.nonzero()[0]:
             final = info['final_info'].items()
             metrics = {name: float(value[i]) for name, value in final if name[0] != '_'}
-            infos[i] |= {'terminal_observation': info['final_obs'][i], 'metrics': metrics}
-        return obs, total, truncated, cast(Any, infos)
+            infos[i] = {
+                'TimeLimit.truncated': bool(truncated[i]),
+                'terminal_observation': info['final_obs'][i],
+                'metrics': metrics,
+            }
 
     def close(self) -> None:
         """Do nothing: the worlds hold no files and no processes."""
@@ -131,13 +145,14 @@ def evaluate(
     env = HerdingVecEnv(config, n_worlds, decision_interval)
     env.seed(seed)
     obs: Any = env.reset()
-    total, infos = np.zeros(env.num_envs), cast(Infos, [])
+    total, metrics = np.zeros(env.num_envs), cast(Infos, [{} for _ in range(env.num_envs)])
     for _ in range(config.world.episode_steps // env.hold):
         action, _ = model.predict(obs, deterministic=True)
         obs, reward, _, infos = env.step(action)
-        total += reward
+        total += [0.0 if m else r for m, r in zip(metrics, reward, strict=True)]
+        metrics = [m or info.get('metrics', {}) for m, info in zip(metrics, infos, strict=True)]
     means = {
-        metric.name: float(np.mean([info['metrics'][metric.name] for info in infos]))
-        for metric in shown('eval')
+        metric.name: float(np.mean([values[metric.name] for values in metrics]))
+        for metric in shown('eval', config.world.task.metrics)
     }
     return {'return': float(total.mean()), **means}

@@ -22,14 +22,12 @@ class AnnealConfig(Config):
     """
 
     anneal_start: float = option(
-        0.6, 'share of the samples before actions are held for shorter', low=0.0, high=1.0
+        0.6, 'share of the samples before holds get shorter', low=0.0, high=1.0
     )
     final_decision_interval: float = option(
         0.5, 'seconds that an action is held in the end', low=0.001
     )
-    final_min_std: float = option(
-        0.1, 'smallest standard deviation of an action in the last stage [m/s]', low=0.001
-    )
+    final_min_std: float = option(0.1, 'least deviation of actions in the end [m/s]', low=0.001)
 
 
 def stages(first: PolicyConfig, config: AnnealConfig) -> list[PolicyConfig]:

@@ -18,8 +18,8 @@ def advantages(
     Return the advantage of each decision; all are (T, ...), time first.
 
     next_value is that of the state that follows in the same episode, also where a time limit
-    ends it (ended True), so that limits are bootstrapped. Advantages do not
-    reach over the end of an episode.
+    ends it (ended True), so that limits are bootstrapped; after a terminal state it is 0.
+    Advantages do not reach over the end of an episode.
     """
     result = torch.empty_like(value)
     carry = torch.zeros_like(value[0])

@@ -9,7 +9,7 @@ from typing import Any
 from shepherd_ros.learning.task import draw_environment, start_of, TaskConfig
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.rng import mixed_seeds
-from shepherd_ros.sim.rollout import advance, Moment, start
+from shepherd_ros.sim.rollout import advance, Moment, restart, start
 from shepherd_ros.sim.state import WorldState
 import torch
 from torch import Tensor
@@ -25,7 +25,7 @@ def team_reward(moment: Moment) -> Tensor:
 
 
 class WorldGroup:
-    """Worlds of one configuration, which begin and end their episodes together."""
+    """Worlds of one configuration, whose episodes are cut together; some may end before."""
 
     def __init__(
         self,
@@ -45,7 +45,7 @@ class WorldGroup:
         """
         self.task, self.index, self.n_worlds, self.seed = task, index, n_worlds, seed
         self.lidar, self.count, self.device = lidar, count, device
-        self.episode = 0
+        self.episode, self.restarts = 0, 0
         self.terms: dict[str, Tensor] = {}  # sums over steps of the mean of each term
 
     moment: Moment
@@ -57,18 +57,27 @@ class WorldGroup:
         config = replace(draw_environment(self.task, int(seeds[0])), lidar=self.lidar)
         state = start_of(self.task, config.world, seeds.to(self.device))
         self.moment = start(state, config, self.count)
-        self.left, self.episode = steps, self.episode + 1
+        self.left, self.episode, self.restarts = steps, self.episode + 1, 0
+
+    def restart(self, ended: Tensor) -> None:
+        """Start other episodes of the same configuration where they ended, (B,) bool."""
+        self.restarts += 1
+        seeds = mixed_seeds(self.n_worlds, self.seed, self.index, self.episode, self.restarts)
+        fresh = start_of(self.task, self.moment.config.world, seeds.to(self.device))
+        self.moment = restart(self.moment, ended, fresh)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the number of the episode and its state."""
+        """Return the number of the episode, how often worlds began anew in it, and its state."""
         world_state = self.moment.state
         state = {f.name: getattr(world_state, f.name) for f in fields(world_state)}
-        return {'episode': self.episode, 'left': self.left, 'state': state}
+        counts = {'episode': self.episode, 'restarts': self.restarts, 'left': self.left}
+        return {**counts, 'state': state}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restore the state that state_dict() returned."""
         self.episode = state_dict['episode'] - 1
         self.begin(state_dict['left'])
+        self.restarts = state_dict['restarts']
         state = {name: t.to(self.device) for name, t in state_dict['state'].items()}
         self.moment = start(WorldState(**state), self.moment.config, self.count)
 
@@ -88,6 +97,7 @@ class WorldGroup:
         """
         Hold a command (B, H, 2) m/s for some steps; return the sum of the rewards, (B, H).
 
+        A world that ends on the way stays in its terminal state, until restart().
         The cost of a path, `effort`, is each shepherd's own, and no term of its team's reward.
         """
         total, effort = command.new_zeros(command.shape[:-1]), self.task.effort

@@ -25,9 +25,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 class PPOConfig(Config):
     """Options of the update; all are choices, as the paper gives none."""
 
-    gamma: float = option(
-        0.96, 'discount per 4 s, however long an action is held', low=0.0, high=1.0
-    )
+    gamma: float = option(0.96, 'discount per 4 s, whatever the hold', low=0.0, high=1.0)
     gae_lambda: float = option(0.95, 'lambda of the advantages', low=0.0, high=1.0)
     clip_coef: float = option(0.2, 'the probability ratio is cut to 1 -+ this', low=0.0, high=1.0)
     update_epochs: int = option(3, 'times that each decision is learned from', low=1)

@@ -15,6 +15,7 @@ from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.observation import rotate_by_ray
 from shepherd_ros.sim.rng import mixed_seeds
+from shepherd_ros.sim.tasks import TASKS
 import torch
 from torch import Tensor
 
@@ -27,9 +28,9 @@ class Decisions:
     log_prob: Tensor
     value: Tensor
     hold: Tensor | None  # bool, the mode of the action; None with one mode
-    next_value: Tensor  # where the episode ends
+    next_value: Tensor  # where the episode ends; 0 in a terminal state
     reward: Tensor
-    ended: Tensor  # (G, T) bool
+    ended: Tensor  # (G, T, B) bool
 
 
 @dataclass
@@ -86,7 +87,7 @@ class Rollout:
         mixed = int(mixed_seeds(1, seed, rank()))
         self.generator = torch.Generator(self.device).manual_seed(mixed)
         self.steps = task.episode_steps // repeat * repeat
-        self.critic = critic
+        self.terminates, self.critic = TASKS[task.task].ends, critic
         self.store = Store(
             policy,
             self.timing.frames,
@@ -122,7 +123,7 @@ class Rollout:
         shape = (len(self.groups), self.decisions, *self.store.mask.shape[2:])
         action = torch.zeros(*shape, 2, device=self.device)
         log_probs, value, following, reward = action.new_zeros(4, *shape)
-        ended = torch.zeros(shape[:2], dtype=torch.bool, device=CPU)
+        ended = torch.zeros(shape[:3], dtype=torch.bool, device=self.device)
         hold = torch.zeros_like(value, dtype=torch.bool) if self.two_modes else None
         made = Decisions(action, log_probs, value, hold, following, reward, ended)
         for group in self.groups:
@@ -134,8 +135,7 @@ class Rollout:
             for g, group in enumerate(self.groups):
                 made.reward[g, t] = group.hold(command[g], repeat, self.reward) * scale
                 self.store.put(g, self.store.before + t + 1, group.moment)
-                made.ended[g, t] = group.left <= 0
-            self._restart_groups(t, made)
+            self._restart_worlds(t, made)
         batch = self._batch(made, gamma, gae_lambda)
         return batch, {'reward': float(made.reward.mean() / scale / repeat)} | self._terms(repeat)
 
@@ -158,16 +158,25 @@ class Rollout:
         command[g, world, shepherd] = rotate_by_ray(chosen, first, policy.config.lidar.n_rays)
         return command
 
-    def _restart_groups(self, t: int, made: Decisions) -> None:
+    def _restart_worlds(self, t: int, made: Decisions) -> None:
         """Fill in the next value where an episode ends after decision t, and start another."""
-        ended, row = made.ended[:, t].nonzero()[:, 0], self.store.before + t + 1
-        if not len(ended):
-            return
-        made.next_value[ended, t] = self._values(row, ended.to(self.device))[ended]
-        for g in ended.tolist():
-            self.groups[g].begin(self.steps)
-            self.labels.begin(g, self.groups[g].moment)
-            self.store.put(g, row, self.groups[g].moment, starts=True)
+        row, terminal = self.store.before + t + 1, [g.moment.terminated for g in self.groups]
+        cut = [g for g, group in enumerate(self.groups) if group.left <= 0]
+        if cut:
+            limit = torch.tensor(cut, device=self.device)
+            made.ended[limit, t] = True
+            made.next_value[limit, t] = self._values(row, limit)[limit]
+        for g, group in enumerate(self.groups):
+            if g not in cut and not (self.terminates and terminal[g].any()):
+                continue
+            made.ended[g, t] |= terminal[g]
+            made.next_value[g, t, terminal[g]] = 0.0
+            if g in cut:
+                group.begin(self.steps)
+                self.labels.begin(g, group.moment)
+            else:
+                group.restart(terminal[g])
+            self.store.put(g, row, group.moment, starts=True if g in cut else terminal[g])
 
     def _values(self, row: int, groups: Tensor) -> Tensor:
         """Return the critic's values (G, B, H) in a row, 0 for the absent and other groups."""
@@ -189,14 +198,14 @@ class Rollout:
     def _batch(self, made: Decisions, gamma: float, gae_lambda: float) -> Batch:
         """Return the decisions of the present shepherds, with their advantages."""
         store, all_groups = self.store, torch.arange(len(self.groups), device=self.device)
-        ended = made.ended.to(self.device)
+        ended = made.ended[..., None]  # (G, T, B, 1)
         final = self._values(store.before + self.decisions, all_groups)
         following = torch.cat([made.value[:, 1:], final[:, None]], dim=1)
         advantage = advantages(
             made.reward.transpose(0, 1),
             made.value.transpose(0, 1),
-            torch.where(ended[:, :, None, None], made.next_value, following).transpose(0, 1),
-            ended.T[..., None, None],
+            torch.where(ended, made.next_value, following).transpose(0, 1),
+            ended.transpose(0, 1),
             gamma,
             gae_lambda,
         ).transpose(0, 1)

@@ -45,17 +45,18 @@ class Store:
         scan = policy.config.lidar.layout.shape
         self.store = torch.zeros(*shape, *scan, dtype=dtype, device=device)
         self.first = torch.zeros(shape, dtype=torch.int64, device=device)
-        # row in which the episode began
-        self.begun = torch.zeros(shape[:2], dtype=torch.int64, device=device)
+        # row in which the episode of a world began
+        self.begun = torch.zeros(shape[:3], dtype=torch.int64, device=device)
         self.mask = torch.zeros(shape, dtype=torch.bool, device=device)
         width = len(FEATURES) if features else 0
         self.features = torch.zeros(*shape, width, device=device)
 
-    def put(self, group: int, row: int, moment: Moment, starts: bool = False) -> None:
-        """Store the observations of a group in a row; starts: its episode begins there."""
+    def put(self, group: int, row: int, moment: Moment, starts: bool | Tensor = False) -> None:
+        """Store the observations of a group in a row; starts (B,): episodes begin there."""
         self.store[group, row] = self.policy.scale(moment.ranges).to(self.store.dtype)
         self.first[group, row] = self.policy.first_ray(moment.ranges)
-        self.begun[group, row] = row if starts else self.begun[group, row - 1]
+        starting = torch.as_tensor(starts, device=self.begun.device)
+        self.begun[group, row] = torch.where(starting, row, self.begun[group, row - 1])
         self.mask[group, row] = moment.state.shepherd_mask
         if self.features.shape[-1]:
             self.features[group, row] = state_features(moment)
@@ -67,7 +68,7 @@ class Store:
 
     def rows_of(self, g: Tensor, row: Tensor, world: Tensor, shepherd: Tensor) -> Tensor:
         """Return the rows (n, K) of the flat store that hold the frames of n decisions."""
-        frame_rows = self.stack.rows(row, self.begun[g, row])
+        frame_rows = self.stack.rows(row, self.begun[g, row, world])
         _, rows, worlds, team = self.mask.shape
         return ((g[:, None] * rows + frame_rows) * worlds + world[:, None]) * team + shepherd[
             :, None

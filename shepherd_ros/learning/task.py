@@ -15,6 +15,7 @@ from shepherd_ros.sim.rng import Stream, uniform
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.tasks import TASKS
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.sim.world_parameters import WORLD_PARAMETERS
 import torch
@@ -31,6 +32,7 @@ class TaskConfig(Extended):
     """
 
     registry: ClassVar = WORLD_PARAMETERS
+    task: str = option('herding', 'what the team has to do', choices=lambda: tuple(TASKS))
     preset: str = option('default', 'named setting of time step and flock')
     flock: str = option(
         'strombom',
@@ -50,7 +52,7 @@ class TaskConfig(Extended):
     goal_radius_max: float = option(8.0, 'largest goal [m]', low=0.01)
     repulsion_min: float = option(2.0, 'least rho_a of a flock that has one', low=0.0)
     repulsion_max: float = option(2.0, 'greatest rho_a of a flock that has one', low=0.0)
-    noise_max: float = option(0.0, 'noise on perceived positions is between 0 and this [m]', low=0)
+    noise_max: float = option(0.0, 'highest noise on perceived positions [m]', low=0)
     noise_free_share: float = option(
         0.0, 'share of episodes without that noise', low=0.0, high=1.0
     )
@@ -98,6 +100,12 @@ class TaskConfig(Extended):
         return PAPER_FLOCKS if self.flock == 'both' else (self.flock,)
 
 
+def task_defaults(config: TaskConfig, task: str) -> TaskConfig:
+    """Return the distribution with the defaults of another task."""
+    kind = TASKS[task]
+    return replace(config, task=task, **{'flock': kind.flock, **kind.training})
+
+
 def draw_environment(task: TaskConfig, seed: int) -> EnvConfig:
     """Return the environment of one episode, the same for the same seed."""
     draw = random.Random(seed)
@@ -143,13 +151,13 @@ def start_of(task: TaskConfig, world: WorldConfig, seed: Tensor) -> WorldState:
     passed = drawn * share[-1] >= share[:-1].to(seed.device)
     size = task.shepherds_min + passed.sum(dim=-1, keepdim=True)  # (..., 1)
     present = torch.arange(task.shepherds_max, device=seed.device) < size
-    shepherds = state.shepherds * present[..., None]
+    shepherds = torch.where(present[..., None], state.shepherds, state.goal[..., None, :])
     return replace(state, shepherds=shepherds, shepherd_mask=present)
 
 
 def base_world(task: TaskConfig, flock: str) -> WorldConfig:
     """Return the world of a flock model with the starts of training."""
-    world = training_world(world_preset(task.preset, flock))
+    world = training_world(world_preset(task.preset, flock, task.task))
     spawn = replace(
         world.spawn,
         fewest_shepherds=task.shepherds_min,

@@ -14,6 +14,8 @@ from shepherd_ros.learning.task import base_world, TaskConfig
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.metrics import shown
 from shepherd_ros.sim.rollout import EnvConfig
+from shepherd_ros.sim.tasks import TASKS
+from shepherd_ros.sim.tasks.herding import Herding
 import torch
 
 VALIDATION_SEED = 900_000_000  # far from those of tables; those of training are mixed, and higher
@@ -29,7 +31,7 @@ class EvaluationConfig(Config):
     eval_steps: int = option(1000, 'steps of these episodes', low=1)
     eval_noise: float = option(
         0.0,
-        'noise on perceived positions in half of these episodes [m]; 0: in none',
+        'noise of positions in half of them [m]; 0: none',
         low=0.0,
     )
     eval_sheep: str = option('', 'sizes of flocks, such as 20,100; empty: as the task')
@@ -66,14 +68,13 @@ class EvaluationConfig(Config):
             )
         return [int(word) for word in words]
 
-    def score(self, results: Mapping[str, float]) -> float:
+    def score(self, results: Mapping[str, float], achieved: str = Herding.achieved) -> float:
         """Return what policies are compared by, from the results of an evaluation."""
         gained = (
-            self.return_weight * (results['return'] / 10)
-            + self.goal_weight * results['fraction_in_goal']
+            self.return_weight * (results['return'] / 10) + self.goal_weight * results[achieved]
         )
-        time = results[TIME_95] / self.eval_steps
-        path = results['shepherd_path_length'] / 100
+        time = results.get(TIME_95, 0.0) / self.eval_steps
+        path = results.get('shepherd_path_length', 0.0) / 100
         return gained - self.time_weight * time - self.path_weight * path
 
 
@@ -95,7 +96,7 @@ def validate(
     `score` is what checkpoints are chosen by; completion_time_95 is the 95th percentile, in which
     an episode that never completes counts as long as it is.
     """
-    sizes = evaluation.sizes('eval_sheep') or validation_sizes(task)
+    sizes, kind = evaluation.sizes('eval_sheep') or validation_sizes(task), TASKS[task.task]
     teams = evaluation.sizes('eval_shepherds') or [0]
     noises = (0.0, evaluation.eval_noise) if evaluation.eval_noise else (0.0,)
     spreads = (0.0, evaluation.eval_sample_std) if evaluation.eval_sample_std else (0.0,)
@@ -118,9 +119,10 @@ def validate(
             str(policy.device),
         )
         results.append(run_episodes(config, controller, VALIDATION_SEED, count, device=device))
-    names = ('return', *(metric.name for metric in shown('eval')))
+    names = ('return', *(metric.name for metric in shown('eval', kind.metrics)))
     whole = {name: torch.cat([result[name] for result in results]) for name in names}
     means = {name: float(values.mean()) for name, values in whole.items()}
-    times = torch.cat([result['completion_time'] for result in results])
-    means[TIME_95] = float(times.float().quantile(0.95))
-    return means | {'score': evaluation.score(means)}
+    if 'completion_time' in kind.metrics:
+        times = torch.cat([result['completion_time'] for result in results])
+        means[TIME_95] = float(times.float().quantile(0.95))
+    return means | {'score': evaluation.score(means, kind.achieved)}

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any
 
 import numpy as np
 import rclpy
+from shepherd_ros.config import ConfigError
 from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.ros.runtime import init_rclpy, make_executor
 from shepherd_ros.ros.world_subscriber import Listener
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
-from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.state import stack, WorldState
+from shepherd_ros.sim.tasks import TASKS
 from shepherd_ros.wire.decode import Scan
 from shepherd_ros.wire.episode import Episode
-from shepherd_ros.wire.topics import metric_topic, scan_topic
+from shepherd_ros.wire.topics import EPISODE, metric_topic, scan_topic
 
 
 class EpisodeProbe(ShepherdNode):
@@ -25,8 +26,8 @@ class EpisodeProbe(ShepherdNode):
 
     backlog = 10_000  # it has more topics than other nodes and may be slower than the stack
 
-    def __init__(self, shepherd: int = 0, **kwargs: Any) -> None:
-        """Subscribe to states, metrics and the scans of one shepherd."""
+    def __init__(self, shepherd: int = 0, task: str = 'herding', **kwargs: Any) -> None:
+        """Subscribe to states, metrics of a task, and the scans of one shepherd."""
         super().__init__('episode_probe', **kwargs)
         self.shepherd = shepherd
         self.episode: Episode | None = None
@@ -34,10 +35,13 @@ class EpisodeProbe(ShepherdNode):
         self.states: dict[int, WorldState] = {}
         self.scans: dict[int, dict[int, np.ndarray]] = {}
         self.metrics: dict[str, float] = {}
+        self.names = list(TASKS[task].metrics)
+        self.outcome = ''  # how the episode has ended, where its task has several ends
         self.listener = Listener(self, self.on_state)
+        self.listen(EPISODE, self.on_episode)
         for k, channel in enumerate(PAPER_CHANNELS):
             self.listen(scan_topic(channel), partial(self.on_scan, k), shepherd)
-        for name in METRICS:
+        for name in self.names:
             self.listen(metric_topic(name), partial(self.on_metric, name))
 
     def on_state(self, ns: int, state: WorldState, episode: Episode) -> None:
@@ -46,6 +50,13 @@ class EpisodeProbe(ShepherdNode):
         if self.episode.number == episode.number:
             self.states[ns] = state
             self.step = int(state.step)
+
+    def on_episode(self, text: str) -> None:
+        """Store how the episode has ended."""
+        with suppress(ConfigError):
+            episode = Episode.from_json(text)
+            if self.episode == episode:
+                self.outcome = episode.end
 
     def on_scan(self, channel: int, scan: Scan) -> None:
         """Store the ranges of one channel."""
@@ -58,7 +69,7 @@ class EpisodeProbe(ShepherdNode):
     @property
     def is_complete(self) -> bool:
         """Return whether states, scans and all metrics have arrived."""
-        return bool(self.states and self.scans and len(self.metrics) == len(METRICS))
+        return bool(self.states and self.scans and len(self.metrics) == len(self.names))
 
     def trajectory(self) -> tuple[np.ndarray, WorldState]:
         """Return the stamps (T,) s and the states (T) of the episode, in order of time."""
@@ -78,11 +89,11 @@ class EpisodeProbe(ShepherdNode):
 
 @contextmanager
 def open_episode_probe(
-    shepherd: int = 0,
+    shepherd: int = 0, task: str = 'herding'
 ) -> Iterator[tuple[EpisodeProbe, Callable[[float], None]]]:
     """Yield a probe and a function that spins it for at most some time [s]."""
     init_rclpy()
-    node = EpisodeProbe(shepherd)
+    node = EpisodeProbe(shepherd, task)
     executor = make_executor('events')
     executor.add_node(node)
     try:

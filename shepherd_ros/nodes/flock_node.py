@@ -112,7 +112,6 @@ class FlockSim(ShepherdNode):
             world=self.world.to_dict(),
         )
         self.flock_commands.begin(self.episode)
-        self.output.expect_goal(self.world.goal_speed > 0)
         self.output.episode(self.now_ns, self.episode, self.state)
         self.get_logger().info(
             f'episode {self.number}: seed {seed}, {self.world.n_sheep} sheep, {team} shepherds, '
@@ -123,7 +122,7 @@ class FlockSim(ShepherdNode):
 
     def advance(self, commands: list[tuple[float, float]]) -> None:
         """Make one step with commands (H, 2) m/s, or begin the next episode after the last."""
-        if int(self.state.step) >= self.world.episode_steps:
+        if self.moment.ended:
             if self.number + 1 == self.episodes:
                 self.finish()
             else:
@@ -135,6 +134,7 @@ class FlockSim(ShepherdNode):
         if self.pending_goal is not None:
             self.set_goal(self.pending_goal)
         self.publish_state()
+        self.episode = self.output.end(self.now_ns, self.episode, self.moment)
 
     def finish(self) -> None:
         """Stop after the last episode, once its last messages are out."""

@@ -14,6 +14,8 @@ from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.ros.parameters import declare_config, present_config
 from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.presets import PRESETS, world_preset
+from shepherd_ros.sim.tasks import TASKS
+from shepherd_ros.sim.tasks.herding import Herding
 from shepherd_ros.sim.world import WorldConfig
 
 LOWEST_RATE = 0.001  # [1/s]
@@ -31,16 +33,22 @@ class WorldParameters:
         """Declare them all."""
         self.node = node
         models, presets = tuple(sorted(FLOCK_MODELS)), tuple(sorted(PRESETS))
+        tasks = tuple(sorted(TASKS))
+        doc = 'what the team has to do, with defaults of the world: ' + ', '.join(tasks)
+        self.task: str = node.option('task', Herding.name, doc, choices=tasks)
         doc = 'flock model: ' + ', '.join(models)
-        flock = node.option('flock', 'strombom', doc, read_only=False, choices=models)
+        own = TASKS[self.task].flock
+        flock = node.option('flock', own, doc, read_only=False, choices=models)
         doc = 'defaults of dt and flock: ' + ', '.join(presets)
         self.preset = node.option('preset', 'default', doc, read_only=False, choices=presets)
-        self.world = world_preset(self.preset, flock)
+        self.world = world_preset(self.preset, flock, self.task)
         self.flocks = {
             name: world_preset(self.preset, name).flock for name in models
         }  # of the preset, with the names and kinds of all options
         for name, config in self.flocks.items():
             declare_config(node, config, f'{name}.', read_only=False)
+        for name, kind in TASKS.items():
+            declare_config(node, kind(), f'{name}.', read_only=False)
         declare_config(node, self.world.spawn, 'spawn.', read_only=False)
         declare_config(node, self.world, read_only=False)
 
@@ -52,7 +60,9 @@ class WorldParameters:
             raise unknown_name('flock', flock, list(self.flocks))
         spawn = present_config(self.node, self.world.spawn, 'spawn.', changes)
         own = present_config(self.node, self.flocks[flock], f'{flock}.', changes)
-        return present_config(self.node, replace(self.world, spawn=spawn, flock=own), '', changes)
+        task = present_config(self.node, self.world.task, f'{self.task}.', changes)
+        world = replace(self.world, spawn=spawn, flock=own, task=task)
+        return present_config(self.node, world, '', changes)
 
     def following(self, changes: Mapping[str, Any]) -> dict[str, Any]:
         """Return the values that parameters get by a change of the preset, by name."""

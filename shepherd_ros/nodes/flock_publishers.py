@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from rclpy.duration import Duration
 from shepherd_ros.ros.markers import world_markers
 from shepherd_ros.ros.node import ShepherdNode
 from shepherd_ros.ros.transforms import TransformOutput
+from shepherd_ros.sim.rollout import Moment
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.vectors import unit
 from shepherd_ros.wire.encode import (
@@ -53,9 +56,17 @@ class WorldOutput:
 
     def episode(self, ns: int, episode: Episode, state: WorldState, seconds: float = 0.2) -> None:
         """Publish the latched topics, and wait until all readers have them, at most `seconds`."""
+        self.expect_goal(episode.goal_moves)
         self.outputs[EPISODE].publish(encode_text(episode.to_json()))
         self.goal(ns, state)
         self.wait(EPISODE, GOAL, seconds=seconds)
+
+    def end(self, ns: int, episode: Episode, moment: Moment) -> Episode:
+        """Publish how an episode has ended, if it has and its task has several ends; return it."""
+        if moment.config.world.task.ends and moment.ended:
+            episode = replace(episode, end='terminated' if moment.terminated else 'truncated')
+            self.episode(ns, episode, moment.state, seconds=0.0)
+        return episode
 
     def goal(self, ns: int, state: WorldState) -> None:
         """Publish the position of the goal."""

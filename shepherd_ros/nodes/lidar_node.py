@@ -17,6 +17,8 @@ from shepherd_ros.sim import compiled
 from shepherd_ros.sim.lidar import LidarConfig, scan
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.tasks import Task
+from shepherd_ros.sim.tasks.herding import Herding
 from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.wire.encode import encode_scan
 from shepherd_ros.wire.episode import Episode
@@ -58,10 +60,12 @@ class LidarNode(ShepherdNode):
         self.present: list[int] = []
         self.sensors = torch.tensor(self.present)
         self.last_markers = 0.0
+        self.task: Task = Herding()
         self.listener = Listener(self, self.on_state, self.on_episode)
 
     def on_episode(self, episode: Episode, world: WorldConfig) -> None:
         """Select the shepherds of the node that the episode has."""
+        self.task = world.task
         team = range(episode.n_shepherds)
         ids = list(team) if self.shepherd_ids == [_ALL] else self.shepherd_ids
         self.present = [h for h in ids if h in team]
@@ -87,7 +91,7 @@ class LidarNode(ShepherdNode):
         """Publish the scans of a state."""
         if not self.present:
             return
-        perceived = perceive(state, self.noise_std)
+        perceived = self.task.observed(perceive(state, self.noise_std))
         ranges = scan(perceived, self.config, self.sensors).numpy()
         draw = self.wall() - self.last_markers > RAY_MARKER_PERIOD
         for row, h in zip(ranges, self.present, strict=True):

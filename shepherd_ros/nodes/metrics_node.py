@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from shepherd_ros.ros.node import OK, ShepherdNode, WARN
 from shepherd_ros.ros.runtime import run
 from shepherd_ros.ros.world_subscriber import Listener
-from shepherd_ros.sim.metrics import METRICS, PAPER_METRICS
+from shepherd_ros.sim.metrics import METRICS, shown
 from shepherd_ros.sim.rollout import advance_to, EnvConfig, Moment, start
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
@@ -31,8 +31,8 @@ class MetricsNode(ShepherdNode):
     def __init__(self, **kwargs: Any) -> None:
         """Create the node and its publishers."""
         super().__init__('metrics', **kwargs)
-        self.outputs = {name: self.advertise(metric_topic(name)) for name in METRICS}
         self.world = WorldConfig()
+        self.outputs = {name: self.advertise(metric_topic(name)) for name in METRICS}
         self.moment: Moment | None = None
         self.values: dict[str, float] = {}
         self.gaps = 0
@@ -40,13 +40,17 @@ class MetricsNode(ShepherdNode):
         self.listener = Listener(self, self.on_state, self.on_episode)
 
     def on_episode(self, episode: Episode, world: WorldConfig) -> None:
-        """Start counting anew."""
-        self.world = world
+        """Start counting anew, the metrics of its task."""
+        self.world, known = world, world.task.metrics
+        for name in self.outputs.keys() - set(known):
+            self.destroy_publisher(self.outputs.pop(name))
+        for name in [name for name in known if name not in self.outputs]:
+            self.outputs[name] = self.advertise(metric_topic(name))
         self.moment, self.gaps, self.reported = None, 0, False
 
     def on_state(self, ns: int, state: WorldState, episode: Episode) -> None:
         """Count a step and publish the metrics."""
-        step, steps = int(state.step), episode.episode_steps
+        step = int(state.step)
         last = -1 if self.moment is None else int(self.moment.state.step)
         if self.moment is None or step < last:
             self.moment = start(state, EnvConfig(world=self.world))
@@ -56,13 +60,14 @@ class MetricsNode(ShepherdNode):
             self.gaps += int(step > last + 1)
         else:  # a state that is shown again counts once
             self.moment = replace(self.moment, state=state)
+        metrics = self.world.task.metrics
         self.values = {
-            name: math.nan if self.gaps and not METRICS[name].instant else float(value)
+            name: math.nan if self.gaps and not metrics[name].instant else float(value)
             for name, value in self.moment.metrics().items()
         }
         for name, value in self.values.items():
             self.outputs[name].publish(encode_number(value))
-        if step == steps and not self.reported:
+        if self.moment.ended and not self.reported:
             self.reported = True
             self._report(episode)
 
@@ -74,8 +79,9 @@ class MetricsNode(ShepherdNode):
                 f'{name}: not whole, states are missing at {self.gaps} places; no metrics'
             )
             return
-        shown = ', '.join(f'{metric} {self.values[metric]:.4g}' for metric in PAPER_METRICS)
-        self.get_logger().info(f'{name}: {shown}')
+        names = [metric.name for metric in shown('summary', self.world.task.metrics)][:5]
+        text = ', '.join(f'{name} {self.values[name]:.4g}' for name in names)
+        self.get_logger().info(f'{name}: {text}')
 
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return the status of the metrics: whether every step was received."""

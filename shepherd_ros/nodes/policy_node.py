@@ -9,7 +9,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
 from shepherd_ros.config import ConfigError
-from shepherd_ros.controllers.policy_controller import LearnedConfig, sample_noise
+from shepherd_ros.controllers.policy_controller import LearnedConfig, require_task, sample_noise
 from shepherd_ros.nodes.mux_parameters import declare_source
 from shepherd_ros.policy import inference
 from shepherd_ros.policy.checkpoint import load_policy
@@ -66,6 +66,7 @@ class PolicyNode(ShepherdNode):
         self.episode: Episode | None = None
         self.max_speed = 0.0  # [m/s]
         self.present: list[int] = []
+        self.refusal = ''  # why an episode is not driven
         self.silent: list[str] = []  # scans that no lidar publishes
         self.memory: PolicyMemory = {}
         self.last_ranges = torch.empty(0)  # last ranges (H, C, R) m of those present
@@ -91,7 +92,7 @@ class PolicyNode(ShepherdNode):
         inference.act(self.policy, self.timing, lambda: ranges, has_scan, memory, 1.0)
 
     def _begin(self, content: tuple[Episode, WorldConfig]) -> None:
-        """Start an episode with an empty memory."""
+        """Start an episode with an empty memory, or refuse it."""
         episode, world = content
         self.episode, self.max_speed = episode, world.shepherd_speed
         self.last, self.timing = None, self.policy.config.timing(world.dt)
@@ -103,6 +104,12 @@ class PolicyNode(ShepherdNode):
                 f'shepherd_ids has {unknown}: expected 0 to {episode.n_shepherds - 1}, as this '
                 'episode has no others; they get no commands'
             )
+        self.refusal = ''
+        try:
+            require_task(self.policy, world)
+        except ConfigError as error:
+            self.refusal, self.present = str(error), []
+            self.get_logger().error(f'this episode is not driven: {error}')
         if self.timing.deviation not in ('', self.deviation):
             self.get_logger().warning(f'{self.options.checkpoint} {self.timing.deviation}')
         self.deviation = self.timing.deviation
@@ -205,7 +212,9 @@ class PolicyNode(ShepherdNode):
     def diagnose(self) -> list[DiagnosticStatus]:
         """Return the status of the policy: activity, latency and faults of scans."""
         level, message = OK, 'commanding'
-        if self.silent:
+        if self.refusal:
+            level, message = ERROR, f'checkpoint does not fit: {self.refusal}'
+        elif self.silent:
             level, message = ERROR, f'no lidar publishes {", ".join(self.silent)}'
         elif self.stale:
             level, message = WARN, 'scans have stopped: commanding zero'

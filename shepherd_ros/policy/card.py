@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from shepherd_ros.policy.policy import Policy
-from shepherd_ros.sim.metrics import shown
+from shepherd_ros.policy.policy import Policy, PolicyConfig
+from shepherd_ros.sim.metrics import Metric, shown
+from shepherd_ros.sim.tasks import TASKS
 
 PROVENANCE = {
     'seed': 'seed', 'wall_time_s': 'wall time [s]', 'machine': 'machine', 'code': 'commit',
@@ -48,7 +49,7 @@ def card(name: str, policy: Policy, record: Mapping[str, Any]) -> str:
         f'- decides every {config.decision_interval:g} s, and holds its action between',
         '',
     ]
-    lines += _evaluation(record.get('eval'))
+    lines += _evaluation(record.get('eval'), metrics_for(config))
     lines += trained_for(record.get('config'))
     return '\n'.join(lines).rstrip() + '\n'
 
@@ -59,7 +60,12 @@ def printable(value: object) -> str:
     return (text if text.isprintable() else ascii(text)).replace('`', "'").replace('|', '/')
 
 
-def _evaluation(results: Any) -> list[str]:
+def metrics_for(config: PolicyConfig) -> Mapping[str, Metric]:
+    """Return the metrics of a policy's task."""
+    return TASKS[config.task].metrics
+
+
+def _evaluation(results: Any, metrics: Mapping[str, Metric]) -> list[str]:
     """Return the section of the evaluation by which the checkpoint was chosen."""
     if not isinstance(results, Mapping):
         return []
@@ -70,7 +76,10 @@ def _evaluation(results: Any) -> list[str]:
     ]
     rows = [
         f'| {title} | {results[key]:.4g} |'
-        for key, title in [*((m.name, m.short) for m in shown('eval')), ('return', 'return')]
+        for key, title in [
+            *((m.name, m.short) for m in shown('eval', metrics)),
+            ('return', 'return'),
+        ]
         if isinstance(results.get(key), int | float)
     ]
     return [*head, '', '| | mean |', '|---|--:|', *rows, '']

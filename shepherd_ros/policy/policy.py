@@ -19,6 +19,7 @@ from shepherd_ros.sim.observation import (
     rotate_by_ray,
     scaled_ranges,
 )
+from shepherd_ros.sim.tasks import TASKS
 import torch
 from torch import nn, Tensor
 
@@ -36,6 +37,9 @@ class PolicyConfig(Config):
     lidar: LidarConfig = part(LidarConfig)
     observation: ObservationConfig = part(ObservationConfig)
     network: NetworkConfig = part(NetworkConfig)
+    task: str = option(
+        'herding', 'task that it was trained for', choices=lambda: tuple(TASKS), sparse=True
+    )
 
     def __post_init__(self) -> None:
         """Check each field, and times and padding against the others."""

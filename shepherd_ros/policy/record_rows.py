@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from shepherd_ros.policy.card import printable, PROVENANCE
+from shepherd_ros.policy.card import metrics_for, printable, PROVENANCE
 from shepherd_ros.policy.policy import PolicyConfig
-from shepherd_ros.sim.metrics import shown
+from shepherd_ros.sim.metrics import Metric, shown
 
 Rows = list[tuple[str, str]]  # name and value
 _RANGES = {  # title -> options of the task that are its ends
@@ -25,7 +25,8 @@ def record_rows(
     """Yield the title and the rows of each part of the page."""
     yield 'What it is', _network(config)
     yield 'What it was trained on', _task(record)
-    yield 'What training measured, on the starts that it was chosen on', _results(record)
+    metrics = shown('eval', metrics_for(config))
+    yield 'What training measured, on the starts that it was chosen on', _results(record, metrics)
     yield 'How it was made', _provenance(record, version)
 
 
@@ -61,12 +62,12 @@ def _task(record: Mapping[str, Any]) -> Rows:
     return rows
 
 
-def _results(record: Mapping[str, Any]) -> Rows:
+def _results(record: Mapping[str, Any], metrics: list[Metric]) -> Rows:
     """Return the means of the evaluation by which the checkpoint was chosen."""
     results = record.get('eval')
     if not isinstance(results, Mapping):
         return []
-    titles = [*((metric.name, metric.short) for metric in shown('eval')), ('return', 'return')]
+    titles = [*((metric.name, metric.short) for metric in metrics), ('return', 'return')]
     return [
         (title, f'{results[key]:.4g}')
         for key, title in titles

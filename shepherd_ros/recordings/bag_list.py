@@ -55,14 +55,16 @@ class BagList:
         ]
         if self.unreadable:
             lines.append(f'{_count(len(self.unreadable), "bag")} cannot be read')
+        tasks = {info.task for info in infos if info.whole_values}
         values = [values for info in infos for values in info.whole_values]
-        if values:
+        if len(tasks) == 1:
             from shepherd_ros.recordings.episode_metrics import mean_texts  # needs torch
 
-            heads = next(info.metrics for info in infos if info.metrics)
+            first = next(info for info in infos if info.metrics)
+            heads, task = first.metrics, first.task
             lines += ['', f'Mean over {_count(len(values), "whole episode")}:']
             wide = max(map(len, heads))
-            pairs = zip(heads, mean_texts(values), strict=True)
+            pairs = zip(heads, mean_texts(values, task), strict=True)
             lines += [f'  {head:<{wide}}  {text}' for head, text in pairs]
         return lines
 

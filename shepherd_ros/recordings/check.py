@@ -184,7 +184,7 @@ def _check_group(
     result.episodes += 1
     result.steps += sum(1 for s in group.states.values() if s.sheep and s.shepherds)
     final = group.states.get(last, RecordedState())
-    complete = last == info.episode_steps
+    complete = last == info.episode_steps or info.end == 'terminated'
     if following is None:  # the recording may have ended within a state
         complete = complete and not any(expected.missing(final, info, answered=False))
     # a world that was told to begin anew goes on with the next stamp

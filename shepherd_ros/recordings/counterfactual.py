@@ -11,11 +11,10 @@ import numpy as np
 from shepherd_ros.controllers.controller import Controller, Memory
 from shepherd_ros.recordings.episodes import Frame, RecordedEpisode
 from shepherd_ros.recordings.record import drive, EpisodeBag
-from shepherd_ros.recordings.replay import metrics_over_time, states_of
+from shepherd_ros.recordings.replay import metrics_over_time, states_of, task_of
 from shepherd_ros.recordings.replay_check import law_commands
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS
-from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.perception import perceive
 from shepherd_ros.sim.rollout import advance_to, EnvConfig, Moment, start
 from shepherd_ros.sim.state import WorldState
@@ -41,12 +40,12 @@ def record_future(
     states = states_of(episode)
     memory, continues = memory_at(episode, states, at, controller, noise_std)
     moment = start(states.world(slice(0, 1)), config)
-    bag = EpisodeBag(folder, replace(episode, world=world.to_dict()), 'none')
+    bag = EpisodeBag(folder, replace(episode, world=world.to_dict(), end=''), 'none')
     with closing(bag.writer):
         for t, frame in enumerate(episode.frames[:at]):
             values = moment.metrics()
             commands = [None if c is None else c.tolist() for c in frame.commands]
-            row = {name: float(values[name][0]) for name in METRICS}
+            row = {name: float(value[0]) for name, value in values.items()}
             ranges, state, before = (
                 recorded_or_cast_ranges(frame, moment),
                 moment.state,
@@ -99,13 +98,13 @@ def metrics_table(recorded: RecordedEpisode, future: RecordedEpisode, name: str)
     """Return the metrics of two episodes after their last common step, as a Markdown table."""
     common = {frame.step for frame in recorded.frames} & {frame.step for frame in future.frames}
     last = max(common)
-    columns = []
+    task, columns = task_of(recorded), []
     for episode in (recorded, future):
-        curves = metrics_over_time(states_of(episode), episode.episode_steps)
+        curves = metrics_over_time(states_of(episode), episode.episode_steps, task)
         place = [frame.step for frame in episode.frames].index(last)
         columns.append({metric: values[place] for metric, values in curves.items()})
     lines = [f'| after {last} steps | recorded | {name} | unit |', '|:--|--:|--:|:--|']
-    for metric in METRICS.values():
+    for metric in task.metrics.values():
         values = ' | '.join(f'{column[metric.name]:.4g}' for column in columns)
         lines.append(f'| {metric.name} | {values} | {metric.unit} |')
     return '\n'.join(lines) + '\n'

@@ -49,7 +49,10 @@ class RecordedEpisode(Episode):
     @cached_property
     def whole(self) -> bool:
         """Return whether all states were recorded."""
-        return [frame.step for frame in self.frames] == list(range(self.episode_steps + 1))
+        last = self.episode_steps
+        if self.end == 'terminated' and self.frames:
+            last = self.frames[-1].step
+        return [frame.step for frame in self.frames] == list(range(last + 1))
 
 
 def one_namespace(bag: Bag, namespace: str | None) -> str:

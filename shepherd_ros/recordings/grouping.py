@@ -166,6 +166,8 @@ class _Sorter:
             if self.open and self.open[-1].info == info:
                 # said to those who were silent, or of a world started anew
                 self.n_goals = len(self.open[-1].goals)
+                if info.end:
+                    self.open[-1].info = info
                 continue
             self.open.append(RecordedGroup(info, self.channels))
             self.n_goals = None

@@ -12,7 +12,7 @@ from shepherd_ros.recordings.grouping import namespaces, RecordedGroups, STATES
 from shepherd_ros.rosbag2.bag import Bag
 from shepherd_ros.rosbag2.metadata import NO_START, TopicInfo
 from shepherd_ros.rosbag2.qos import agreed_policy, duration_ns
-from shepherd_ros.wire.topics import GOAL
+from shepherd_ros.wire.topics import GOAL, GOAL_POSES
 
 INDENT = 19  # as in ros2 bag info
 _PLAIN = (
@@ -74,6 +74,7 @@ class BagInfo:
     custom_data: dict[str, str]
     episodes: list[EpisodeSummary]
     metrics: list[str]  # short names of the metrics of episodes
+    task: str = 'herding'  # of the first episode
 
     @property
     def duration_ns(self) -> int:
@@ -131,7 +132,7 @@ class BagInfo:
         if len(whole := self.whole_values) > 1:
             from shepherd_ros.recordings.episode_metrics import mean_texts  # needs torch
 
-            table.append(['mean', f'n={len(whole)}', *mean_texts(whole), ''])
+            table.append(['mean', f'n={len(whole)}', *mean_texts(whole, self.task), ''])
         widths = [max(map(len, column)) for column in zip(*table, strict=True)]
         return ['  '.join([*map(str.rjust, row[:-1], widths), row[-1]]).rstrip() for row in table]
 
@@ -150,11 +151,16 @@ def bag_info(bag: Bag, metrics: bool = False) -> BagInfo:
             metrics_texts,
         )
     packed = {name or 'none' for storage in bag.storages for name in storage.compressions}
-    episodes = []
+    episodes: list[EpisodeSummary] = []
+    task = ''  # of the first episode
     for namespace in namespaces(bag):
-        for group in RecordedGroups(bag, namespace, (*STATES, GOAL) if metrics else STATES):
+        for group in RecordedGroups(
+            bag, namespace, (*STATES, GOAL, GOAL_POSES) if metrics else STATES
+        ):
             info = group.info
+            task = task or info.task
             steps = [step for step, s in group.states.items() if s.sheep and s.shepherds]
+            last = max(steps, default=-1)
             values = metrics_of(bag, group) if metrics else {}
             episodes.append(
                 EpisodeSummary(
@@ -164,10 +170,10 @@ def bag_info(bag: Bag, metrics: bool = False) -> BagInfo:
                     n_sheep=info.n_sheep,
                     n_shepherds=info.n_shepherds,
                     states=len(steps),
-                    expected=info.episode_steps + 1,
-                    last=max(steps, default=-1),
+                    expected=last + 1 if info.end == 'terminated' else info.episode_steps + 1,
+                    last=last,
                     values=values,
-                    metrics=metrics_texts(values) if metrics else [],
+                    metrics=metrics_texts(values, task) if metrics else [],
                 )
             )
     return BagInfo(
@@ -182,7 +188,8 @@ def bag_info(bag: Bag, metrics: bool = False) -> BagInfo:
         topics=list(bag.topics.values()),
         custom_data=bag.custom_data,
         episodes=episodes,
-        metrics=metrics_heads() if metrics else [],
+        metrics=metrics_heads(task or 'herding') if metrics else [],
+        task=task or 'herding',
     )
 
 

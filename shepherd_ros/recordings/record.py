@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 import shutil
 
@@ -10,7 +11,6 @@ import numpy as np
 from shepherd_ros.controllers.controller import Controller, Memory
 from shepherd_ros.recordings.recording_writer import offered_qos, RecordingWriter
 from shepherd_ros.sim.lidar import LidarConfig
-from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.rollout import advance, EnvConfig, Moment, start
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import WorldState
@@ -116,6 +116,11 @@ class EpisodeBag:
         for name, value in metrics.items():
             self.put(metric_topic(name), encode_number(value))
 
+    def announce_end(self, end: str) -> None:
+        """Write how the episode has ended; later states are left out."""
+        self.episode = replace(self.episode, end=end)
+        self.put(EPISODE, encode_text(self.episode.to_json()))
+
 
 def episode_folder(out: Path, seed: int) -> Path:
     """Return the folder of the bag of an episode."""
@@ -176,15 +181,19 @@ def write_moment(
     ranges, lidar = moment.ranges.numpy(), moment.config.lidar
     values = moment.metrics(bags[0].episode.episode_steps)
     for k, bag in enumerate(bags):
+        if bag.episode.end:
+            continue
         bag.step(
             moment.state.world(k),
             moment.before.world(k),
             ranges[k],
             [] if command is None else command[k].tolist(),
-            {name: float(values[name][k]) for name in METRICS},
+            {name: float(value[k]) for name, value in values.items()},
             lidar,
             ('', ()) if labels is None else (labels[0], labels[1][k].tolist()),
         )
+        if moment.config.world.task.ends and moment.ended[k]:
+            bag.announce_end('terminated' if moment.terminated[k] else 'truncated')
 
 
 def drive(
@@ -205,6 +214,8 @@ def drive(
     for step in range(int(moment.state.step[0]), last + 1):
         command, memory = controller.act(moment.perceived, memory)
         write_moment(bags, moment, command)
+        if moment.config.world.task.ends and moment.ended.all():
+            break
         if step < last:
             moment = advance(moment, command, goals.get(step + 1))
         on_step(len(bags))

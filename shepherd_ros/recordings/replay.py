@@ -7,10 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from shepherd_ros.config import ConfigError
 from shepherd_ros.recordings.episodes import Frame, RecordedEpisode
-from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.rollout import advance_to, EnvConfig, start
 from shepherd_ros.sim.state import stack, WorldState
+from shepherd_ros.sim.tasks import Task
+from shepherd_ros.sim.world import WorldConfig
 from shepherd_ros.view.track import EpisodeTrack
+from shepherd_ros.wire.episode import Episode
 import torch
 
 
@@ -75,14 +77,22 @@ def exact_heading(direction: np.ndarray) -> np.ndarray:
     return np.where(swap[:, None], headings[:, ::-1], headings).astype(np.float32)
 
 
-def metrics_over_time(states: WorldState, episode_steps: int) -> dict[str, np.ndarray]:
-    """Return METRICS after each of the states (T), (T,) each."""
-    moment = start(states.world(0), EnvConfig())
+def task_of(episode: Episode) -> Task:
+    """Return the task of a recorded episode, or raise ConfigError."""
+    return WorldConfig.from_dict({'task': episode.world.get('task', {})}).task
+
+
+def metrics_over_time(
+    states: WorldState, episode_steps: int, task: Task | None = None
+) -> dict[str, np.ndarray]:
+    """Return the metrics of a task, by default herding, after each state (T), (T,) each."""
+    world = WorldConfig() if task is None else WorldConfig(task=task)
+    moment = start(states.world(0), EnvConfig(world=world))
     rows = [moment.metrics(episode_steps)]
     for t in range(1, len(states.step)):
         moment = advance_to(moment, states.world(t))
         rows.append(moment.metrics(episode_steps))
-    return {name: np.array([float(row[name]) for row in rows]) for name in METRICS}
+    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
 
 
 def ranges_of(episode: RecordedEpisode) -> np.ndarray | None:
@@ -108,4 +118,5 @@ def track_of(episode: RecordedEpisode, title: str, parting: int | None = None) -
         channels=episode.channels,
         lidar_shepherd=0,
         parting=parting,
+        words=task_of(episode).words,
     )

@@ -21,6 +21,7 @@ __all__ = [
     'spawn',
     'state',
     'tally',
+    'tasks',
     'transition',
     'vectors',
     'vectors_compiled',

@@ -88,7 +88,7 @@ class ShepherdEnv:
         """
         Return observation, reward (B,), terminated (B,), truncated (B,) and info after one step.
 
-        A time limit is truncated and to be bootstrapped; nothing is terminated, as Moment says.
+        A time limit is truncated and to be bootstrapped, the end of a task is terminated and not.
         info has `reward_terms`; where an episode ends, also `final_observation`, `final_state` and
         `final_metrics` of all B worlds as they were before those that ended started anew.
         """

@@ -63,36 +63,50 @@ class Metric:
         return self.name.replace('_', ' ') + ('' if self.unit == '1' else f' [{self.unit}]')
 
 
-METRICS: Registry[Metric] = Registry('metric')
+METRICS: Registry[Metric] = Registry('metric')  # of herding; another task has its own
 
 
-def shown(place: str) -> list[Metric]:
+def shown(place: str, entries: Mapping[str, Metric] = METRICS) -> list[Metric]:
     """Return the metrics that are shown at one of SHOWN_IN, in their order there."""
-    selected = [metric for metric in METRICS.values() if place in metric.shown]
+    selected = [metric for metric in entries.values() if place in metric.shown]
     return sorted(selected, key=lambda metric: metric.shown[place])
 
 
-def start_tally(state: WorldState) -> MetricsTally:
-    """Return the tally at the first state, which counts for all but the mean spread."""
-    own = {m.name: m.start(state) for m in METRICS.loaded().values() if m.start is not None}
+def start_tally(state: WorldState, entries: Registry[Metric] = METRICS) -> MetricsTally:
+    """
+    Return the tally at the first state, which counts for all but the mean spread.
+
+    entries are the metrics of a task, as below.
+    """
+    own = {m.name: m.start(state) for m in entries.loaded().values() if m.start is not None}
     return replace(first_tally(state), own=own)
 
 
-def count_step(tally: MetricsTally, before: WorldState, after: WorldState) -> MetricsTally:
+def count_step(
+    tally: MetricsTally,
+    before: WorldState,
+    after: WorldState,
+    entries: Registry[Metric] = METRICS,
+) -> MetricsTally:
     """Return the tally with one more step, from the true state before it to the one after it."""
     following = next_tally(tally, before, after)
     for name, own in tally.own.items():
-        count = METRICS[name].count
+        count = entries[name].count
         if count is not None:
             following.own[name] = count(own, before, after)
     return following
 
 
-def metrics(tally: MetricsTally, state: WorldState, episode_steps: int) -> dict[str, Tensor]:
-    """Return the value of each of METRICS for the episode so far, (...) each."""
+def metrics(
+    tally: MetricsTally,
+    state: WorldState,
+    episode_steps: int,
+    entries: Registry[Metric] = METRICS,
+) -> dict[str, Tensor]:
+    """Return the value of each metric for the episode so far, (...) each."""
     return {
         name: metric.value(tally.own.get(name, tally), state, episode_steps)
-        for name, metric in METRICS.loaded().items()
+        for name, metric in entries.loaded().items()
     }
 
 
@@ -111,6 +125,16 @@ def _flock_spread_per_axis(tally: MetricsTally, state: WorldState, episode_steps
     return torch.where(tally.steps > 0, mean, tally.spread_per_axis_first)
 
 
+SHEPHERD_PATH = Metric(
+    'shepherd_path_length',
+    'm',
+    'mean over shepherds of the way of each, whole episode',
+    lambda tally, state, steps: tally.shepherd_path,
+    title='shepherd path [m]',
+    short='shepherd path [m]',
+    paper=True,
+    shown={'summary': 2, 'eval': 5, 'bag': 2},
+)
 _BUILT_IN = (
     Metric(
         'completion_time',
@@ -122,16 +146,7 @@ _BUILT_IN = (
         paper=True,
         shown={'summary': 1, 'eval': 2, 'bag': 1},
     ),
-    Metric(
-        'shepherd_path_length',
-        'm',
-        'mean over shepherds of the way of each, whole episode',
-        lambda tally, state, steps: tally.shepherd_path,
-        title='shepherd path [m]',
-        short='shepherd path [m]',
-        paper=True,
-        shown={'summary': 2, 'eval': 5, 'bag': 2},
-    ),
+    SHEPHERD_PATH,
     Metric(
         'flock_path_length',
         'm',

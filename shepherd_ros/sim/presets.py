@@ -12,6 +12,8 @@ from typing import Any
 
 from shepherd_ros.registry import Registry
 from shepherd_ros.sim.flocking import FLOCK_MODELS
+from shepherd_ros.sim.tasks import TASKS
+from shepherd_ros.sim.tasks.herding import Herding
 from shepherd_ros.sim.world import WorldConfig
 
 
@@ -107,11 +109,13 @@ for preset in (
     PRESETS.add(preset)
 
 
-def world_preset(name: str = 'default', flock: str = 'strombom') -> WorldConfig:
-    """Return the world of a preset with a flock model, or raise ConfigError."""
-    preset = PRESETS[name]
+def world_preset(name: str = 'default', flock: str = '', task: str = Herding.name) -> WorldConfig:
+    """Return the world of a preset for a task, with its flock model or another; or ConfigError."""
+    preset, kind = PRESETS[name], TASKS[task]
+    flock = flock or kind.flock
     config = FLOCK_MODELS[flock].config(**preset.flock.get(flock, {}))
-    return WorldConfig(dt=preset.dt, flock=config)
+    world = WorldConfig(dt=preset.dt, flock=config, task=kind())
+    return world.with_values(kind.world) if kind.world else world
 
 
 def training_world(world: WorldConfig) -> WorldConfig:

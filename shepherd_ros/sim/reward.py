@@ -31,6 +31,12 @@ class RewardConfig(Extended):
         'add the one of "one plus the distance" once per step (choice: once per sheep outside)',
     )
 
+    def weight(self, name: str) -> float:
+        """Return the weight of a term by its name."""
+        if name in self._own():
+            return float(getattr(self, name))
+        return float(dict(self.others).get(name, REWARD_TERMS.loaded()[name].default))
+
 
 class Step(NamedTuple):
     """A step of worlds (...), with the values that reward terms share."""
@@ -47,7 +53,7 @@ class RewardTerm:
     """
     A part of the reward: value(step, weight) returns it for a step, (...).
 
-    Without a weight a term is not computed, but for those of the paper.
+    Without a weight a term is not computed, but for those of the task.
     """
 
     name: str
@@ -55,7 +61,7 @@ class RewardTerm:
     value: Callable[[Step, float], Tensor]
     low: float | None = None  # of the weight
     high: float | None = None
-    default: ClassVar[float] = 0.0
+    default: float = 0.0
 
 
 def reward_terms(
@@ -63,16 +69,18 @@ def reward_terms(
     config: RewardConfig,
     episode_steps: int,
     before: WorldState | None = None,
+    names: tuple[str, ...] = ('occupancy', 'shaping'),
 ) -> dict[str, Tensor]:
     """
     Return the terms for the state after a step, (...) each; the reward is their sum.
 
-    before is the state that the step began with, by default the same.
+    before is the state that the step began with, by default the same; names are those of the
+    task's terms, by default the paper's.
     """
     scale = state.flock_size * episode_steps
     step = Step(state if before is None else before, state, config, episode_steps, scale)
-    weights = {'occupancy': config.occupancy, 'shaping': config.shaping} | dict(config.others)
     terms = REWARD_TERMS.loaded()
+    weights = {name: config.weight(name) for name in names} | dict(config.others)
     return {name: terms[name].value(step, weight) for name, weight in weights.items()}
 
 

@@ -4,7 +4,7 @@ The rollout: perceive, scan, act, step, count, one moment after the other.
 A loop over an episode reads a moment, commands, and goes on from there::
 
     moment = start(spawn(config.world, seeds), config)
-    while not moment.truncated.all():
+    while not moment.ended.all():
         command, memory = controller.act(moment.perceived, memory)
         moment = advance(moment, command)
 """
@@ -59,28 +59,39 @@ class Moment:
     @cached_property
     def ranges(self) -> Tensor:
         """Return the ranges of the lidars, (..., H, C, R) m, +inf on free rays."""
-        return scan(self.perceived, self.config.lidar)
+        return scan(self.config.world.task.observed(self.perceived), self.config.lidar)
 
     @cached_property
     def reward_terms(self) -> dict[str, Tensor]:
-        """Return the terms of the reward for the last step, (...) each."""
-        config = self.config
-        return reward_terms(self.state, config.reward, config.world.episode_steps, self.before)
+        """Return the terms of the reward for the last step, (...) each; 0 after the end."""
+        config, task = self.config, self.config.world.task
+        steps = config.world.episode_steps
+        terms = reward_terms(self.state, config.reward, steps, self.before, task.terms)
+        if not task.ends:
+            return terms
+        over = task.terminated(self.before)
+        return {name: torch.where(over, 0.0, term) for name, term in terms.items()}
 
     @property
     def reward(self) -> Tensor:
         """Return the sum of the terms, (...)."""
         return torch.stack(list(self.reward_terms.values())).sum(dim=0)
 
-    @property
+    @cached_property
     def terminated(self) -> Tensor:
-        """Return the mask of terminal states, (...) bool: none, as only the time limit ends."""
-        return torch.zeros_like(self.truncated)
+        """Return the mask of terminal states, (...) bool: those in which the task has ended."""
+        return self.config.world.task.terminated(self.state)
 
     @cached_property
     def truncated(self) -> Tensor:
         """Return the mask of worlds at the time limit, (...) bool; values are bootstrapped."""
-        return self.state.step >= self.config.world.episode_steps
+        late = self.state.step >= self.config.world.episode_steps
+        return late & ~self.terminated if self.config.world.task.ends else late
+
+    @property
+    def ended(self) -> Tensor:
+        """Return the mask of worlds whose episode is over, (...) bool."""
+        return self.terminated | self.truncated
 
     def metrics(self, episode_steps: int | None = None) -> dict[str, Tensor]:
         """
@@ -90,12 +101,13 @@ class Moment:
         """
         assert self.tally is not None
         steps = self.config.world.episode_steps if episode_steps is None else episode_steps
-        return metrics(self.tally, self.state, steps)
+        return metrics(self.tally, self.state, steps, self.config.world.task.metrics)
 
 
 def start(state: WorldState, config: EnvConfig, count: bool = True) -> Moment:
     """Return the first moment of episodes; count: with the tally of the metrics."""
-    return Moment(config, state, state, start_tally(state) if count else None)
+    tally = start_tally(state, config.world.task.metrics) if count else None
+    return Moment(config, state, state, tally)
 
 
 def advance(moment: Moment, command: Tensor, goal: Tensor | None = None) -> Moment:
@@ -107,10 +119,20 @@ def advance(moment: Moment, command: Tensor, goal: Tensor | None = None) -> Mome
 
 
 def advance_to(moment: Moment, state: WorldState) -> Moment:
-    """Return the moment in the next state, which was recorded or received."""
-    tally = moment.tally
+    """
+    Return the moment in the next state, which was recorded or received.
+
+    Worlds (B) in a terminal state stay as they are, with reward 0 and the same metrics.
+    """
+    tally, task = moment.tally, moment.config.world.task
     if tally is not None:
-        tally = count_step(tally, moment.state, state)
+        tally = count_step(tally, moment.state, state, task.metrics)
+    if task.ends and moment.terminated.any():
+        if not moment.terminated.dim():
+            return replace(moment, before=moment.state)
+        state = where(moment.terminated, moment.state, state)
+        if tally is not None and moment.tally is not None:
+            tally = moment.tally.where(moment.terminated, tally)
     return Moment(moment.config, state, moment.state, tally)
 
 
@@ -118,7 +140,7 @@ def restart(moment: Moment, ended: Tensor, state: WorldState) -> Moment:
     """Return the moment with new episodes in a first state where they ended, (B,) bool."""
     tally = moment.tally
     if tally is not None:
-        tally = start_tally(state).where(ended, tally)
+        tally = start_tally(state, moment.config.world.task.metrics).where(ended, tally)
     return replace(
         moment,
         state=where(ended, state, moment.state),

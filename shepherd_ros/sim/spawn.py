@@ -1,10 +1,7 @@
-"""Start of an episode (paper, section 4, with the goal at the origin)."""
+"""Start of an episode."""
 
 from __future__ import annotations
 
-from shepherd_ros.sim.flocking import model_of
-from shepherd_ros.sim.goal_motion import first_destination
-from shepherd_ros.sim.rng import direction, normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
 from shepherd_ros.sim.world import WorldConfig
 import torch
@@ -12,52 +9,5 @@ from torch import Tensor
 
 
 def spawn(config: WorldConfig, seed: Tensor, dtype: torch.dtype = torch.float32) -> WorldState:
-    """
-    Return the first state of the episodes with these seeds; (...) int64.
-
-    The flock's center lies in a random direction from the goal, the shepherds' center (that of
-    each with shepherds_around) in one from the flock's (from that of its first group); each agent
-    is a signed normal distance from its center, in a random direction. The k-th agent of a seed
-    starts in the same place whatever the size of its group, given the number of groups.
-    """
-    device, zero = seed.device, torch.zeros_like(seed)
-    n, m, start = config.n_sheep, config.n_shepherds, config.spawn
-    index_zero = torch.arange(2, device=device)
-
-    def places(stream: Stream, nearest: float, farthest: float, count: int) -> Tensor:
-        """Return centers, each in a random direction and range, (..., count, 2) m."""
-        index = 2 * torch.arange(count, device=device)
-        unit_vector = direction(seed, zero, stream, index, torch.float64)
-        fraction = uniform(seed, zero, stream, index + 1, torch.float64)
-        return unit_vector * (nearest + (farthest - nearest) * fraction)[..., None]
-
-    def around(stream: Stream, count: int) -> Tensor:
-        index = torch.arange(count, device=device)
-        distance = start.position_std * normal(seed, zero, stream, 2 * index, torch.float64)
-        return direction(seed, zero, stream, 2 * index + 1, torch.float64) * distance[..., None]
-
-    limits = (start.flock_distance_min, start.flock_distance_max)
-    groups = places(Stream.FLOCK_PLACE, *limits, start.flock_groups)
-    # sheep k belongs to group k modulo their number; (..., N, 2) m
-    sheep_centers = groups[..., torch.arange(n, device=device) % start.flock_groups, :]
-    limits = (start.shepherd_distance_min, start.shepherd_distance_max)
-    centers = m if start.shepherds_around else 1
-    team = groups[..., :1, :] + places(Stream.SHEPHERD_PLACE, *limits, centers)
-    extra = uniform(seed, zero, Stream.GOAL_RADIUS, index_zero[:1], torch.float64)[..., 0]
-    fewest = start.fewest_shepherds or m
-    spread = uniform(seed, zero, Stream.N_SHEPHERDS, index_zero[:1], torch.float64)  # (..., 1)
-    shepherd_mask = torch.arange(m, device=device) < fewest + (spread * (m - fewest + 1)).long()
-    shepherds = team + around(Stream.SHEPHERD_POSITION, m)
-    goal = torch.zeros((*seed.shape, 2), dtype=dtype, device=device)
-    return WorldState(
-        seed=seed,
-        step=zero,
-        sheep=(sheep_centers + around(Stream.SHEEP_POSITION, n)).to(dtype),
-        heading=model_of(config.flock).first_heading(seed, n, config.flock).to(dtype),
-        sheep_mask=torch.ones((*seed.shape, n), dtype=torch.bool, device=device),
-        shepherds=(shepherds * shepherd_mask[..., None]).to(dtype),
-        shepherd_mask=shepherd_mask,
-        goal=goal,
-        destination=first_destination(goal, seed, config),
-        goal_radius=(config.goal_radius + start.goal_radius_extra * extra).to(dtype),
-    )
+    """Return the first state of the episodes with these seeds, as the task says; (...) int64."""
+    return config.task.start(config, seed, dtype)

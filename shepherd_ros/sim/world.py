@@ -13,6 +13,8 @@ from shepherd_ros.sim.flocking.flock_model import FlockConfig
 from shepherd_ros.sim.flocking.strombom_flock import StrombomFlock
 from shepherd_ros.sim.goal_motion import GOAL_PATHS
 from shepherd_ros.sim.limits import MAX_DT, MAX_SHEEP, MAX_SHEPHERDS, MAX_STEPS, MIN_DT
+from shepherd_ros.sim.tasks import Task, TASKS
+from shepherd_ros.sim.tasks.herding import Herding
 from shepherd_ros.sim.world_parameters import WORLD_PARAMETERS
 
 
@@ -78,6 +80,7 @@ class WorldConfig(Extended):
     )
     spawn: SpawnConfig = part(SpawnConfig)
     flock: FlockConfig = part(FlockConfig, StrombomFlock)
+    task: Task = part(Task, Herding)
 
     def __post_init__(self) -> None:
         """Check each field and that a smallest team fits."""
@@ -89,14 +92,23 @@ class WorldConfig(Extended):
             )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain nested data; the flock carries the name of its model."""
+        """Return plain nested data; the flock carries the name of its model, a task its own."""
         data = super().to_dict()
-        return data | {'flock': {'model': model_of(self.flock).name, **data['flock']}}
+        task = {'name': self.task.name, **data.pop('task')}
+        flock = {'model': model_of(self.flock).name, **data['flock']}
+        return data | {'flock': flock} | self._unless_herding(task)
+
+    def _unless_herding(self, task: dict[str, Any]) -> dict[str, Any]:
+        """Return the data of a task by its field, {} for herding, which needs none."""
+        return {} if self.task == Herding() else {'task': task}
 
     def changes(self) -> dict[str, Any]:
         """Return the values that differ from the defaults, and always the flock model's name."""
+        changes = super().changes()
+        changes.pop('task', None)
         flock = {'model': model_of(self.flock).name, **self.flock.changes()}
-        return super().changes() | {'flock': flock}
+        task = {'name': self.task.name, **self.task.changes()}
+        return changes | {'flock': flock} | self._unless_herding(task)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> WorldConfig:
@@ -104,5 +116,7 @@ class WorldConfig(Extended):
         values = dict(data)
         flock = dict(mapping('flock', values.pop('flock', {})))
         model = FLOCK_MODELS[flock.pop('model', 'strombom')]
+        task = dict(mapping('task', values.pop('task', {})))
+        kind = TASKS[task.pop('name', Herding.name)]
         world = super().from_dict(values)
-        return replace(world, flock=model.config.from_dict(flock))
+        return replace(world, flock=model.config.from_dict(flock), task=kind.from_dict(task))

@@ -178,13 +178,13 @@ class Painter:
 
     def _legend(self) -> list[Line2D]:
         """Return the handles of the legend, column by column."""
-        track = self.track
+        track, (many, one, disc) = self.track, self.track.words
         dot = {'marker': 'o', 'linestyle': 'none', 'markeredgecolor': 'white'}
         handles = [
-            Line2D([], [], ms=6, mfc=SHEEP_COLOR, label='sheep', **dot),
-            Line2D([], [], ms=10, mfc=shepherd_color(0), label='shepherd', **dot),
+            Line2D([], [], ms=6, mfc=SHEEP_COLOR, label=many, **dot),
+            Line2D([], [], ms=10, mfc=shepherd_color(0), label=one, **dot),
             Line2D(
-                [], [], ms=10, mfc=GOAL_FILL, label='goal', **dot | {'markeredgecolor': GOAL_COLOR}
+                [], [], ms=10, mfc=GOAL_FILL, label=disc, **dot | {'markeredgecolor': GOAL_COLOR}
             ),
         ]
         if track.ranges is None:
@@ -207,6 +207,8 @@ def status(track: EpisodeTrack, step: int) -> str:
     width = len(str(len(track.times) - 1))
     clock = max(len(f'{t:.1f}') for t in (track.times[0], track.times[-1]))
     share = 100 * int(track.in_goal[step]) // track.sheep.shape[1]
+    share = share if track.herds else track.breaches(step)
     numbers = (f'{step:{width}}', f'{track.times[step]:{clock}.1f}', f'{share:3}')
     padded = [number.replace(' ', '\N{FIGURE SPACE}') for number in numbers]
-    return 'step {}    {} s    {} % of the sheep in the goal'.format(*padded)
+    last = '{} % of the sheep in the goal' if track.herds else '{} steps with a breach'
+    return f'step {{}}    {{}} s    {last}'.format(*padded)

@@ -202,10 +202,9 @@ class Bags {
       };
     live.plane.show(moment);
     live.curves?.point(index);
-    const scrub = find('scrub'),
-      share = first.inGoal[index] / first.n;
+    const scrub = find('scrub');
     scrub.value = index;
-    const clock = `${first.times[index].toFixed(1)} s, ${Math.floor(100 * share)} % in the goal`;
+    const clock = `${first.times[index].toFixed(1)} s, ${insideText(first, index)}`;
     write(find('replay-clock'), clock);
     scrub.setAttribute('aria-valuetext', clock);
   }

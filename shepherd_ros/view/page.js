@@ -21,7 +21,7 @@ function makeLegend(seen, changed) {
   if (!RECORD.lidar) return;
   const whose = find('whose');
   whose.add(new Option('none', ''));
-  RECORD.lidar.of.forEach((h, k) => whose.add(new Option(`shepherd ${h}`, k)));
+  RECORD.lidar.of.forEach((h, k) => whose.add(new Option(`${RECORD.words[1]} ${h}`, k)));
   whose.value = '0';
   const boxes = RECORD.lidar.names.map((name, channel) => {
     const label = element('label', find('channels'));
@@ -69,7 +69,7 @@ let PLANE = null;
 
 async function start() {
   const data = await unpackRecord(RECORD),
-    {times, steps, inGoal, n} = data,
+    {times, steps} = data,
     last = times.length - 1;
   const seen = {lidar: null, channels: []};
   const scrub = find('scrub'),
@@ -90,7 +90,7 @@ async function start() {
     at = step;
     moment = now;
     scrub.value = step;
-    const share = `${Math.floor((100 * inGoal[step]) / n)} % in the goal`;
+    const share = insideText(data, step);
     find('clock').textContent = `${times[step].toFixed(precision)} s`;
     find('count').textContent = `step ${steps[step]} of ${total}, ${share}`;
     scrub.setAttribute('aria-valuetext', find('clock').textContent);

@@ -70,6 +70,7 @@ def write_page(
         'notes': html.escape(' '.join(record.pop('notes'))),
         'style': beside(*STYLES, 'page.css'),
         'scripts': beside(*DRAWING, 'record.js', 'page.js'),
+        **dict(zip(('many', 'one', 'disc'), map(html.escape, track.words), strict=True)),
         'record': json.dumps(record, allow_nan=False).replace('<', r'\u003c'),
     }
     path.write_text(Template(beside('page.html')).substitute(parts), encoding='utf-8')
@@ -78,8 +79,9 @@ def write_page(
 def facts(track: EpisodeTrack) -> str:
     """Return the line under the title."""
     (steps, n_sheep), team = track.sheep.shape[:2], track.shepherds.shape[1]
+    many, one, _ = track.words
     return (
-        f'{n_sheep} sheep, {team} shepherd{"s" * (team != 1)}, {steps - 1} '
+        f'{n_sheep} {many}, {team} {one}{"s" * (team != 1)}, {steps - 1} '
         f'step{"s" * (steps != 2)}, {track.times[-1] - track.times[0]:.5g} s'
     )
 
@@ -113,6 +115,7 @@ def page_record(
         'shepherds': rounded(track.shepherds[steps], low, unit),
         'goal': packed(track.goal[steps]),
         'goalRadius': track.goal_radius,
+        'words': track.words,
         'inGoal': packed(track.in_goal[steps].astype(np.int32)),
         'limits': view_limits(track),
         'curves': [

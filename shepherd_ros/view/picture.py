@@ -120,7 +120,7 @@ def draw_flock(axes: Axes, track: EpisodeTrack, steps: list[int]) -> list[Line2D
     for order, step in enumerate(steps):
         style |= {
             'mfc': shade(step / last if last else 1.0),
-            'label': f'sheep, {track.times[step]:.4g} s',
+            'label': f'{track.words[0]}, {track.times[step]:.4g} s',
         }
         points = {'ms': 0.85 * size, 'mew': 0.08 * size, 'zorder': 2 + 0.1 * order}
         axes.plot(*track.sheep[step].T, **style, **points)
@@ -146,13 +146,12 @@ def draw_ways(axes: Axes, track: EpisodeTrack) -> list[Line2D]:
         style: dict[str, Any] = {'marker': 'D', 'ls': 'none', 'mfc': PARTING, 'mec': INK}
         axes.plot(*center[track.parting], ms=8, mew=1.2, zorder=8.5, **style)
     first = {'color': shepherd_color(0), 'marker': 'o', 'linewidth': 1.3}
+    (_, one, disc), about = track.words, 'flock center' if track.herds else 'center'
     return [
-        Line2D(
-            [], [], color=INK, linewidth=1.8, marker='o', mfc='white', ms=4, label='flock center'
-        ),
-        Line2D([], [], ms=6, mfc='white', mew=1.5, label='shepherd, start', **first),
-        Line2D([], [], ms=9, mec='white', label='shepherd, end', **first),
-        Line2D([], [], ls='none', marker='o', ms=10, mfc=GOAL_FILL, mec=GOAL_COLOR, label='goal'),
+        Line2D([], [], color=INK, linewidth=1.8, marker='o', mfc='white', ms=4, label=about),
+        Line2D([], [], ms=6, mfc='white', mew=1.5, label=f'{one}, start', **first),
+        Line2D([], [], ms=9, mec='white', label=f'{one}, end', **first),
+        Line2D([], [], ls='none', marker='o', ms=10, mfc=GOAL_FILL, mec=GOAL_COLOR, label=disc),
     ]
 
 
@@ -188,10 +187,13 @@ def free_side(path: _Array, step: int, distance: float) -> _Array:
 
 
 def summary(track: EpisodeTrack) -> str:
-    """Return the line over the picture: length of the episode and share of sheep in the goal."""
+    """Return the line over the picture: length of the episode, share in the goal or breaches."""
     steps, share = len(track.times) - 1, 100 * int(track.in_goal[-1]) // track.sheep.shape[1]
     length = f'{steps} steps    {track.times[-1] - track.times[0]:.4g} s'
-    text = f'{length}    {share} % of the sheep in the goal'
+    if not track.herds:
+        text = f'{length}    {track.words[0]} in the region in {track.breaches(steps)} steps'
+    else:
+        text = f'{length}    {share} % of the sheep in the goal'
     if track.parting is None:
         return f'{text} at the end'
     return f'{text}    \N{BLACK DIAMOND} parting, {track.times[track.parting]:.4g} s'

@@ -39,6 +39,14 @@ async function unpackRecord(record) {
   return {record, times, steps, goal, inGoal, sheep, shepherds, curves, ranges, n, team};
 }
 
+// Who is in the goal at a step, in words: a share of a flock, or breaches so far.
+function insideText(data, step) {
+  const {record, inGoal, n} = data;
+  if (record.words[0] === 'sheep') return `${Math.floor((100 * inGoal[step]) / n)} % in the goal`;
+  const breaches = inGoal.subarray(0, step + 1).reduce((sum, one) => sum + (one > 0), 0);
+  return `${breaches} steps with a breach`;
+}
+
 const placesAt = (flat, count, step) => flat.subarray(2 * step * count, 2 * (step + 1) * count);
 
 // The moment of a step for the plane; seen says whose lidar and which channels.

@@ -30,6 +30,7 @@ class EpisodeTrack:
     ranges: _Array | None = None  # (T, C, R) m
     channels: tuple[str, ...] = PAPER_CHANNELS  # C of them
     lidar_shepherd: int = 0  # whose lidar it is
+    words: tuple[str, str, str] = ('sheep', 'shepherd', 'goal')  # many, one and the disc
     parting: int | None = None  # step at which another future begins, to be marked
 
     def __post_init__(self) -> None:
@@ -60,6 +61,15 @@ class EpisodeTrack:
     def center(self) -> _Array:
         """Return the flock's center of mass, (T, 2) m."""
         return self.sheep.mean(axis=1)
+
+    @property
+    def herds(self) -> bool:
+        """Return whether sheep belong into the goal; else those in it are breaches."""
+        return self.words[0] == 'sheep'
+
+    def breaches(self, step: int) -> int:
+        """Return the number of steps until then with somebody in the goal."""
+        return int((self.in_goal[: step + 1] > 0).sum())
 
     @property
     def in_goal(self) -> NDArray[np.int64]:

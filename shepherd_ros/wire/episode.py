@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import json
 import math
 import re
@@ -22,6 +22,7 @@ from shepherd_ros.sim.limits import (
 
 SCHEMA = 1
 MODES = ('lockstep', 'realtime')
+ENDS = ('terminated', 'truncated')
 _NS_PER_SECOND = 1_000_000_000  # [ns]
 INT64 = 2**63 - 1
 EPISODE_FIELDS: dict[str, tuple[Any, dict[str, Any]]] = {  # an example and the limits
@@ -58,6 +59,7 @@ class Episode:
     mode: str
     world: Mapping[str, Any]  # plain data, as of WorldConfig.to_dict()
     version: str = __version__
+    end: str = field(default='', compare=False)  # of ENDS once it is over, '' where time ends all
 
     @property
     def dt(self) -> float:
@@ -73,6 +75,11 @@ class Episode:
     def episode_steps(self) -> int:
         """Return the step of the last state."""
         return int(self.world['episode_steps'])
+
+    @property
+    def task(self) -> str:
+        """Return the name of the task of the team."""
+        return str(mapping('task', self.world.get('task', {})).get('name', 'herding'))
 
     @property
     def goal_moves(self) -> bool:
@@ -97,6 +104,7 @@ class Episode:
             },
             'world': dict(self.world),
         }
+        data |= {'end': self.end} if self.end else {}
         return json.dumps(data, sort_keys=True)
 
     @classmethod
@@ -109,12 +117,13 @@ class Episode:
         """
         try:
             data = mapping('episode', json.loads(text))
-            _expect(data, EPISODE_FIELDS.keys() | {'schema', 'start', 'world'})
+            _expect(data, EPISODE_FIELDS.keys() | {'schema', 'start', 'world', 'end'})
             if data['schema'] is True or data['schema'] != SCHEMA:
                 raise ConfigError(f'schema is {data["schema"]!r}: expected {SCHEMA}')
             present = {
                 n: EPISODE_FIELDS[n] for n in EPISODE_FIELDS if n in data or n not in defaults
             }
+            present |= {'end': ('terminated', {'choices': ENDS})} if 'end' in data else {}
             values = defaults | _read(data, present)
             start = _read(_expect(mapping('start', data['start']), START.keys()), START)
             world = dict(mapping('world', data['world']))

@@ -32,7 +32,7 @@ def test_short_names_have_the_defaults_of_the_options_that_they_stand_for() -> N
     values = EnvConfig().values()
     for f in fields(Setting):
         if 'path' in f.metadata and f.name != 'repulsion':
-            assert f.default == values[f.metadata['path']], f.name
+            assert getattr(Setting(), f.name) == values[f.metadata['path']], f.name
             assert type(f.default) is type(values[f.metadata['path']]), f.name
     assert env_config(Setting()) == EnvConfig()
     assert changes_of(Setting()) == {}

@@ -14,8 +14,9 @@ import pytest
 from shepherd_ros.config import ConfigError
 from shepherd_ros.integrations.environments import HerdingEnv, HerdingParallelEnv, HerdingVectorEnv
 from shepherd_ros.sim.env import ShepherdEnv
+from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import first_ray, network_input, ObservationConfig, rotate_by_ray
-from shepherd_ros.sim.presets import training_world
+from shepherd_ros.sim.presets import training_world, world_preset
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 import stable_baselines3.common.env_checker
@@ -162,3 +163,37 @@ def test_what_cannot_be_is_refused() -> None:
     env.reset(seed=0)
     with pytest.raises(ConfigError, match=r"actions lack \['shepherd_1'\]"):
         env.step({'shepherd_0': np.zeros(2, np.float32)})
+
+
+@pytest.mark.parametrize('kind', [HerdingEnv, HerdingParallelEnv, HerdingVectorEnv])
+def test_terminal_states_are_terminations_and_time_limits_truncations(kind: type) -> None:
+    team = 1 if kind is HerdingEnv else 2
+    world = replace(world_preset(task='protection'), n_sheep=150, n_shepherds=team)
+    config = EnvConfig(world=replace(world, episode_steps=45), lidar=LidarConfig(n_rays=32))
+    # of the vector environment, worlds that have begun anew count as well
+    many = kind is HerdingVectorEnv
+    env = kind(config, 8) if many else kind(config)
+    core = ShepherdEnv(config, 8 if many else 1)
+    ends, seed = np.zeros(2, int), 0
+    while min(ends) < 2:
+        env.reset(seed=seed)
+        core.reset(seed)
+        seed += 1
+        for _ in range(45):
+            if kind is HerdingParallelEnv:
+                still = {name: np.zeros(2, np.float32) for name in env.agents}
+                _, *told, infos = env.step(still)
+                reward, *over = (list(part.values()) for part in told)
+                info = infos['shepherd_1']
+            else:
+                _, reward, *over, info = env.step(np.zeros((16, 2) if many else 2, np.float32))
+            _, gained, *expected, _ = core.step(torch.zeros_like(core.state.shepherds))
+            each = gained.repeat_interleave(team).numpy()
+            assert np.array_equal(np.ravel(np.float32(reward)), each)
+            for said, there in zip(over, expected, strict=True):
+                assert np.array_equal(np.ravel(said), there.repeat_interleave(team).numpy())
+            ends += [int(end.sum()) for end in expected]
+            if np.any(over):
+                assert 'clean_success' in (info.get('final_info') or info)
+                if not many:
+                    break

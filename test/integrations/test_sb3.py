@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 import runpy
 import sys
@@ -13,6 +14,7 @@ from shepherd_ros.integrations.environments import HerdingVectorEnv
 from shepherd_ros.integrations.sb3 import evaluate, HerdingVecEnv, LidarFeatures
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import ObservationConfig
+from shepherd_ros.sim.presets import world_preset
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 from stable_baselines3 import PPO
@@ -109,3 +111,19 @@ def test_the_script_says_how_to_install_what_is_missing(monkeypatch: pytest.Monk
     monkeypatch.setattr(sys, 'argv', [str(SCRIPT)])
     with pytest.raises(SystemExit, match=r"pip install -c constraints.txt '\.\[sb3\]'"):
         runpy.run_path(str(SCRIPT), run_name='__main__')
+
+
+def test_a_terminal_state_is_no_time_limit_and_ends_the_reward_of_a_held_action() -> None:
+    world = replace(world_preset(task='protection'), n_sheep=150, n_shepherds=1, episode_steps=48)
+    env = HerdingVecEnv(EnvConfig(world=world, lidar=LidarConfig(n_rays=32)), 12, 2.0)
+    env.seed(0)
+    env.reset()
+    limits = {True: 0, False: 0}
+    for _ in range(24):
+        _, reward, done, infos = env.step(np.zeros((12, 2), np.float32))
+        for gain, ended, info in zip(reward, done, infos, strict=True):
+            assert ended == ('metrics' in info)
+            if ended:
+                limits[info['TimeLimit.truncated']] += 1
+                assert (gain < -1.9) != info['TimeLimit.truncated']
+    assert min(limits.values()) > 0

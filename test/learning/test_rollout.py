@@ -123,7 +123,8 @@ def test_frames_do_not_reach_over_the_start_of_an_episode() -> None:
         per_row = WORLDS * TASK.shepherds_max
         group, row = batch.rows // (rows * per_row), batch.rows // per_row % rows
         newest = row[:, -1]
-        begun = rollout.store.begun[group[:, -1], newest]
+        world = batch.rows[:, -1] // TASK.shepherds_max % WORLDS
+        begun = rollout.store.begun[group[:, -1], newest, world]
         assert (row >= begun[:, None]).all()
         back = torch.tensor([4, 2, 0])
         assert torch.equal(row, torch.maximum(newest[:, None] - back, begun[:, None]))
