@@ -1,4 +1,4 @@
-"""What follows from the task of a training: defaults of its recipe, metrics of its progress."""
+"""Defaults of a recipe and metrics of its progress, by the task of a training."""
 
 from __future__ import annotations
 

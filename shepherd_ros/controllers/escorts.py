@@ -120,13 +120,13 @@ class BlockController(Escorts):
         ring = (state.goal_radius + self.config.margin)[..., None, None]
         for _ in range(state.shepherds.shape[-2]):
             nearest = waiting.argmin(dim=-1, keepdim=True)  # (..., 1)
-            there = waiting.gather(-1, nearest).isfinite()
+            found = waiting.gather(-1, nearest).isfinite()
             course = toward.gather(-2, nearest[..., None].expand(*nearest.shape, 2))  # (..., 1, 2)
-            way = torch.linalg.vector_norm(
+            length = torch.linalg.vector_norm(
                 payload[..., None, :] + ring * course - state.shepherds, dim=-1
             )
-            escort = torch.where(free, way, torch.inf).argmin(dim=-1, keepdim=True)
-            taken = torch.zeros_like(free).scatter(-1, escort, True) & free & there
+            escort = torch.where(free, length, torch.inf).argmin(dim=-1, keepdim=True)
+            taken = torch.zeros_like(free).scatter(-1, escort, True) & free & found
             place = torch.where(taken[..., None], course, place)
             free = free & ~taken
             waiting = waiting.scatter(-1, nearest, torch.inf)

@@ -182,16 +182,16 @@ def test_terminal_states_are_terminations_and_time_limits_truncations(kind: type
         for _ in range(45):
             if kind is HerdingParallelEnv:
                 still = {name: np.zeros(2, np.float32) for name in env.agents}
-                _, *told, infos = env.step(still)
-                reward, *over = (list(part.values()) for part in told)
+                _, *parts, infos = env.step(still)
+                reward, *over = (list(part.values()) for part in parts)
                 info = infos['shepherd_1']
             else:
                 _, reward, *over, info = env.step(np.zeros((16, 2) if many else 2, np.float32))
             _, gained, *expected, _ = core.step(torch.zeros_like(core.state.shepherds))
             each = gained.repeat_interleave(team).numpy()
             assert np.array_equal(np.ravel(np.float32(reward)), each)
-            for said, there in zip(over, expected, strict=True):
-                assert np.array_equal(np.ravel(said), there.repeat_interleave(team).numpy())
+            for value, core_value in zip(over, expected, strict=True):
+                assert np.array_equal(np.ravel(value), core_value.repeat_interleave(team).numpy())
             ends += [int(end.sum()) for end in expected]
             if np.any(over):
                 assert 'clean_success' in (info.get('final_info') or info)

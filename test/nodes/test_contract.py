@@ -20,7 +20,13 @@ from shepherd_ros.sim.presets import world_preset
 from shepherd_ros.sim.world import SpawnConfig, WorldConfig
 from shepherd_ros.wire.topics import contract
 
-TOPICS, PROFILES = contract()
+CONTRACT, PROFILES = contract()
+TASK = world_preset().task  # the metrics of other tasks are published in their episodes
+TOPICS = {
+    topic: row
+    for topic, row in CONTRACT.items()
+    if not row.name.startswith('metrics/') or row.name.removeprefix('metrics/') in TASK.metrics
+}
 OF_ROS = {'/rosout', '/parameter_events', '/tf'}  # /tf where tf2_msgs is installed
 OF_RCLPY = {'use_sim_time', 'start_type_description_service'}
 N_SHEPHERDS = 3

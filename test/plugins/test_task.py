@@ -13,7 +13,7 @@ WORLD = '--task fetch --shepherds 2 --steps 60'
 
 def test_a_task_of_one_file_goes_everywhere(commands: Path, tmp_path: Path) -> None:
     bag = f'{tmp_path}/bags/episode_000000'
-    *_, told, checked, replayed, shown, _ = run(
+    *_, information, checked, replayed, shown, _ = run(
         commands / 'python',
         TASK,
         f'train ppo --task fetch {TINY} --fetch 2 {NETWORK} --out {tmp_path}/ppo',
@@ -30,9 +30,9 @@ def test_a_task_of_one_file_goes_everywhere(commands: Path, tmp_path: Path) -> N
     (file,) = Path(bag).glob('*.mcap')
     for stored in (b'"name": "fetch"', b'"end": "terminated"'):
         assert stored in file.read_bytes()
-    assert 'Sheep: 5' in told
-    assert 'whole' in told
-    assert 'fetched' in told
+    assert 'Sheep: 5' in information
+    assert 'whole' in information
+    assert 'fetched' in information
     assert checked.splitlines()[-1] == 'ok'
     assert replayed.splitlines()[-1] == 'equal'
     assert 'fetched' in shown

@@ -184,13 +184,13 @@ def test_metrics_are_those_of_loops_over_the_states() -> None:
             command, memory = law.act(moment.perceived, memory)
             moment = advance(moment, command)
             states.append(moment.state.world(0))
-        got = {name: float(value[0]) for name, value in moment.metrics().items()}
+        computed = {name: float(value[0]) for name, value in moment.metrics().items()}
         gaps = [(distance(s.sheep, s.goal) - s.goal_radius).numpy() for s in states]
         last = states[-1]
         arrived = bool((last.goal == last.destination).all())
         success = float(arrived and float(gaps[-1].min()) > 0.75 - 2.0)
         clean = success * float(all(gap.min() > 0 for gap in gaps))
-        way = sum(
+        path = sum(
             float(torch.linalg.vector_norm(b.shepherds - a.shepherds, dim=-1).mean())
             for a, b in zip(states, states[1:], strict=False)  # noqa: RUF007
         )
@@ -199,7 +199,7 @@ def test_metrics_are_those_of_loops_over_the_states() -> None:
             for a, b in zip(states, states[1:], strict=False)  # noqa: RUF007
         )
         far = [float(distance(s.shepherds, s.goal).mean()) for s in states[1:]]
-        assert got == pytest.approx(
+        assert computed == pytest.approx(
             {
                 'success': success,
                 'clean_success': clean,
@@ -207,8 +207,8 @@ def test_metrics_are_those_of_loops_over_the_states() -> None:
                 'intruders': float((np.stack(gaps) <= 0).any(axis=0).sum()),
                 'smallest_gap': min(gap.min() for gap in gaps),
                 'steps_survived': len(states) - 1,
-                'shepherd_path_length': way,
-                'path_per_payload_meter': way / payload,
+                'shepherd_path_length': path,
+                'path_per_payload_meter': path / payload,
                 'payload_distance': np.mean(far),
                 'gap': gaps[-1].min(),
             },
