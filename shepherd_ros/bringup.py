@@ -179,10 +179,12 @@ def _own_lidar(controller: str, flock_sim: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _require_fit(checkpoint: str, setting: Setting) -> None:
-    """Raise ConfigError unless a policy knows the rays of a setting."""
+    """Raise ConfigError unless a policy knows the task and the rays of a setting."""
+    from shepherd_ros.controllers.policy_controller import require_task
     from shepherd_ros.experiments.methods import loaded
 
     config, policy = env_config(setting), loaded(checkpoint)
+    require_task(policy, config.world)
     rays = policy.config.lidar.n_rays
     if config.lidar.n_rays != rays:
         raise ConfigError(f'rays is {config.lidar.n_rays}: expected {rays}, as in training')

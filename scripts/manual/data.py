@@ -94,7 +94,7 @@ one shepherd's steps, by one driver and without a hole.
 | --- | --- |
 | `{lerobot_format.DATA_PATH}` | the steps |
 | `{lerobot_format.EPISODES_PATH}` | the episodes |
-| `{lerobot_format.TASKS}` | the task, `{lerobot_format.TASK_TEXT}` |
+| `{lerobot_format.TASK_TABLE}` | the task, `{lerobot_format.TASK_TEXT}` |
 | `{lerobot_format.INFO}` | shapes and types of the columns, as LeRobot reads them |
 | `{lerobot_format.STATS}` | mean, deviation and limits; rays without a return are left out |
 | `{lerobot_format.ABOUT}` | time step, rays, number of bags, what was left out and why |

@@ -183,7 +183,7 @@ class _Render:
     bag: Bags
     """Folder of a bag, or one .mcap file."""
     output: Annotated[Path, tyro.conf.arg(aliases=['-o'])]
-    """Folder of tracks.png, herding.gif and replay.html."""
+    """Folder of tracks.png, replay.html and an animation with the task's name, as herding.gif."""
     episode: int = 0
     """Which episode of the bag, counted from 0."""
     namespace: str | None = None
@@ -220,7 +220,7 @@ class _Render:
         on_page = shown('page', task.metrics)
         drawn = {metric.name: curves[metric.name] for metric in on_page}
         units = {metric.name: metric.unit for metric in on_page if metric.unit != '1'}
-        paths = [self.output / name for name in ('tracks.png', 'herding.gif', 'replay.html')]
+        paths = [self.output / name for name in ('tracks.png', f'{task.name}.gif', 'replay.html')]
         draw_tracks(track, paths[0])
         with progress('drawing') as show:
             animate(track, paths[1], end=self.end, speed=self.speed, on_frame=show)

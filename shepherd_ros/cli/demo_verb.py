@@ -87,7 +87,7 @@ class Demo(OneSetting):
             running(self.out / 'logs') as processes,
             open_episode_probe(task=setting.task) as (probe, spin),
         ):
-            self._herd(stack, setting.steps, processes, probe, spin)
+            self._follow(stack, setting, processes, probe, spin)
         times, states = probe.trajectory()
         console.print(self._table(states, setting))
         self._draw(setting, probe, times, states, console)
@@ -110,16 +110,17 @@ class Demo(OneSetting):
         notes = (timing_note(full_name(name), dt) for name in (self.controller, *self.standby))
         return [note for note in notes if note]
 
-    def _herd(
+    def _follow(
         self,
         stack: list[Process],
-        steps: int,
+        setting: Setting,
         processes: Running,
         probe: EpisodeProbe,
         spin: Callable[[float], None],
     ) -> None:
         """Start everything, the controller last, and follow the episode to its end."""
-        with progress('herding', steps) as show:
+        steps = setting.steps
+        with progress(setting.task, steps) as show:
             show(0, text='(processes start)')
             processes.start(stack[:-1])
             self._until(lambda: probe.is_complete, processes, probe, spin)
@@ -217,7 +218,7 @@ class Demo(OneSetting):
         draw_tracks(track, picture)
         console.print(f'wrote {picture}')
         if self.animation != 'none':
-            film = self.out / f'herding.{self.animation}'
+            film = self.out / f'{setting.task}.{self.animation}'
             with progress(f'drawing {film}'):
                 animate(track, film)
             console.print(f'wrote {film}')

@@ -16,7 +16,7 @@ import tyro
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from shepherd_ros.experiments.campaign import Task
+    from shepherd_ros.experiments.campaign import CellTask
     from shepherd_ros.experiments.catalog import Experiment
     from shepherd_ros.experiments.setting import Setting
 
@@ -81,7 +81,7 @@ class Evaluate(ManySettings):
         self.write_tables(chosen)
         return 0
 
-    def planned(self, chosen: Sequence[Experiment]) -> dict[tuple[str, int], Task]:
+    def planned(self, chosen: Sequence[Experiment]) -> dict[tuple[str, int], CellTask]:
         """Return the cells of experiments, each once."""
         from shepherd_ros.experiments.campaign import plan
 
@@ -120,7 +120,7 @@ class Evaluate(ManySettings):
             if not going:
                 return
 
-    def run_missing(self, tasks: list[Task]) -> None:
+    def run_missing(self, tasks: list[CellTask]) -> None:
         """Run the cells whose rows are not there, or this process's part of them."""
         from shepherd_ros.experiments.campaign import codes_of, done_of, run_tasks, shard_of
         from shepherd_ros.experiments.cells import Cell
@@ -194,7 +194,7 @@ class Evaluate(ManySettings):
 
 
 def _tell(
-    tasks: list[Task], missing: list[Task], code: str, codes: Sequence[str], workers: int
+    tasks: list[CellTask], missing: list[CellTask], code: str, codes: Sequence[str], workers: int
 ) -> None:
     """Print the number of missing cells, and the commits that wrote the others."""
     minutes = sum(task.cell.cost() for task in missing) / 60
@@ -211,7 +211,7 @@ def _tell(
         )
 
 
-def _tell_timings(tasks: list[Task]) -> None:
+def _tell_timings(tasks: list[CellTask]) -> None:
     """Print a note on each policy whose intervals are no multiples of the time step."""
     from shepherd_ros.experiments.methods import timing_note
     from shepherd_ros.experiments.setting import env_config

@@ -128,5 +128,5 @@ def require_task(policy: Policy, world: WorldConfig) -> None:
     if world.task.name != policy.config.task:
         raise ConfigError(
             f'task is {world.task.name}: expected {policy.config.task}, for which the policy was '
-            'trained; choose a checkpoint that was trained for yours'
+            'trained; choose a checkpoint that was trained for yours, or another controller'
         )

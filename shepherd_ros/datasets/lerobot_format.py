@@ -10,7 +10,7 @@ from shepherd_ros.sim.lidar_layout import ScanLayout
 DATASET_FORMAT = 'shepherd_ros data set 1'
 DATA_PATH = 'data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet'
 EPISODES_PATH = 'meta/episodes/chunk-000/file-000.parquet'
-INFO, ABOUT, STATS, TASKS = (
+INFO, ABOUT, STATS, TASK_TABLE = (
     f'meta/{name}' for name in ('info.json', 'shepherd_ros.json', 'stats.json', 'tasks.parquet')
 )
 FILE_SIZE = 100  # [MiB] after which a data file is full

@@ -35,8 +35,8 @@ from shepherd_ros.datasets.lerobot_format import (
     NUMBERS,
     STATS,
     STEP_SCHEMA,
+    TASK_TABLE,
     TASK_TEXT,
-    TASKS,
 )
 from shepherd_ros.datasets.running_stats import RunningStats
 from shepherd_ros.datasets.steps import Steps
@@ -233,7 +233,7 @@ class DatasetWriter:
             (self.part / path).write_text(json.dumps(content, indent=1), encoding='utf-8')
         tasks = pa.table({'task_index': pa.array([0], pa.int64()), 'task': [TASK_TEXT]})
         tasks = tasks.replace_schema_metadata({'pandas': json.dumps(INDEXED_BY_TASK)})
-        parquet.write_table(tasks, self.part / TASKS)
+        parquet.write_table(tasks, self.part / TASK_TABLE)
 
     def _unwritable(self, error: OSError) -> BagError:
         reason = f'it cannot be written ({error.strerror or error})'

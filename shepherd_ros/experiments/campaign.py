@@ -22,7 +22,7 @@ import torch
 
 
 @dataclass(frozen=True)
-class Task:
+class CellTask:
     """A cell and the key of its rows."""
 
     cell: Cell
@@ -37,22 +37,22 @@ def seed_batches(seed: int, episodes: int) -> Iterator[tuple[int, int]]:
 
 def plan(
     settings: Sequence[Setting], controllers: Sequence[str], seed: int, episodes: int
-) -> list[Task]:
+) -> list[CellTask]:
     """Return all cells, each once; raises ConfigError for one that cannot run."""
     if episodes < 1:
         raise ConfigError(f'--episodes is {episodes}: expected at least 1')
-    tasks: dict[tuple[str, int], Task] = {}
+    tasks: dict[tuple[str, int], CellTask] = {}
     for name in dict.fromkeys(map(full_name, controllers)):
         for setting in dict.fromkeys(map(canonical_setting, settings)):
             whole = Cell(setting, name, seed, episodes)
             key = cell_key(whole.config(), checkpoint_hash(name), __version__)
             for first, count in seed_batches(seed, episodes):
                 cell = replace(whole, first=first, count=count)
-                tasks.setdefault((key, first), Task(cell, key))
+                tasks.setdefault((key, first), CellTask(cell, key))
     return list(tasks.values())
 
 
-def done_of(tasks: Iterable[Task], rows: Results) -> set[Task]:
+def done_of(tasks: Iterable[CellTask], rows: Results) -> set[CellTask]:
     """Return the tasks whose rows are all present."""
     return {
         task
@@ -63,13 +63,13 @@ def done_of(tasks: Iterable[Task], rows: Results) -> set[Task]:
     }
 
 
-def codes_of(tasks: Iterable[Task], rows: Results) -> list[str]:
+def codes_of(tasks: Iterable[CellTask], rows: Results) -> list[str]:
     """Return the commits that made the rows of done cells, ascending."""
     of_tasks = np.isin(rows.columns['key'], list({task.key for task in tasks}))
     return sorted(set(rows.columns['code'][of_tasks].tolist()))
 
 
-def shard_of(tasks: Sequence[Task], shard: str) -> list[Task]:
+def shard_of(tasks: Sequence[CellTask], shard: str) -> list[CellTask]:
     """Return the part i/n of the cells, as 1/4, so that n machines share the work."""
     try:
         index, count = (int(part) for part in shard.split('/'))
@@ -101,7 +101,7 @@ def start_worker() -> None:
 
 def run_tasks(
     folder: Path,
-    tasks: Sequence[Task],
+    tasks: Sequence[CellTask],
     workers: int,
     code: str,
     on_done: Callable[[Cell], None],

@@ -24,7 +24,7 @@ def interval_text(mean: float, low: float, high: float) -> str:
     return f'{number_text(mean)} [{number_text(low)}, {number_text(high)}]'
 
 
-def metrics_of(samples: Samples) -> Mapping[str, Metric]:
+def sample_metrics(samples: Samples) -> Mapping[str, Metric]:
     """Return the metrics of the task of an experiment."""
     return TASKS[samples.settings[0].task].metrics
 
@@ -37,7 +37,7 @@ def varying(samples: Samples) -> list[str]:
 
 def markdown(samples: Samples) -> str:
     """Return a table with a row for each setting and controller."""
-    keys, columns = varying(samples), shown('summary', metrics_of(samples))
+    keys, columns = varying(samples), shown('summary', sample_metrics(samples))
     lines = [
         f'| {" | ".join(keys)} | controller | {" | ".join(metric.words for metric in columns)} |',
         '|' + '--:|' * len(keys) + ':--|' + '--:|' * len(columns),
@@ -80,7 +80,7 @@ def grids(samples: Samples) -> str:
     )
     parts = [
         f'\n## {metric.words.capitalize()}\n\n{grid(samples, metric.name)}'
-        for metric in shown('summary', metrics_of(samples))
+        for metric in shown('summary', sample_metrics(samples))
     ]
     return intro + ''.join(parts)
 
@@ -89,7 +89,7 @@ def csv_rows(samples: Samples) -> str:
     """Return a line for each setting, controller and metric, without a header."""
     text = StringIO()
     write = csv.writer(text, lineterminator='\n').writerow
-    for controller, setting, values in means(samples, tuple(metrics_of(samples))):
+    for controller, setting, values in means(samples, tuple(sample_metrics(samples))):
         for name, episodes in values.items():
             ends = [f'{float(x):.6g}' for x in mean_interval(episodes)]
             fields = [getattr(setting, field) for field in SETTING_FIELDS if field != 'steps']

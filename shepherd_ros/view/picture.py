@@ -130,7 +130,7 @@ def draw_flock(axes: Axes, track: EpisodeTrack, steps: list[int]) -> list[Line2D
 
 def draw_ways(axes: Axes, track: EpisodeTrack) -> list[Line2D]:
     """Draw the ways of flock and shepherds with marks of time; return the legend's handles."""
-    marks, center = time_marks(track.times), track.center
+    marks, center = time_marks(track.times), track.middle
     for shepherd, path in enumerate(track.shepherds.swapaxes(0, 1)):
         color, marker = shepherd_color(shepherd), shepherd_marker(shepherd)
         axes.add_collection(faded(path, color))
@@ -146,7 +146,10 @@ def draw_ways(axes: Axes, track: EpisodeTrack) -> list[Line2D]:
         style: dict[str, Any] = {'marker': 'D', 'ls': 'none', 'mfc': PARTING, 'mec': INK}
         axes.plot(*center[track.parting], ms=8, mew=1.2, zorder=8.5, **style)
     first = {'color': shepherd_color(0), 'marker': 'o', 'linewidth': 1.3}
-    (_, one, disc), about = track.words, 'flock center' if track.herds else 'center'
+    (_, one, disc), about = (
+        track.words,
+        'flock center' if track.herds else f'{track.words[2]}, path',
+    )
     return [
         Line2D([], [], color=INK, linewidth=1.8, marker='o', mfc='white', ms=4, label=about),
         Line2D([], [], ms=6, mfc='white', mew=1.5, label=f'{one}, start', **first),
@@ -164,11 +167,11 @@ def faded(path: _Array, color: str) -> LineCollection:
 
 
 def write_times(axes: Axes, track: EpisodeTrack, marks: list[int]) -> None:
-    """Write the time beside marks of the flock's way, none too near to another."""
+    """Write the time beside marks of the way, none too near to another."""
     left, right = axes.get_xlim()
     near, written = MIN_LABEL_SPACING * (right - left), np.empty((0, 2))
     for step in marks:
-        place = free_side(track.center, step, 0.75 * near)
+        place = free_side(track.middle, step, 0.75 * near)
         if (np.linalg.norm(written - place, axis=1) < near).any():
             continue
         written = np.vstack([written, place])
@@ -190,10 +193,11 @@ def summary(track: EpisodeTrack) -> str:
     """Return the line over the picture: length of the episode, share in the goal or breaches."""
     steps, share = len(track.times) - 1, 100 * int(track.in_goal[-1]) // track.sheep.shape[1]
     length = f'{steps} steps    {track.times[-1] - track.times[0]:.4g} s'
-    if not track.herds:
-        text = f'{length}    {track.words[0]} in the region in {track.breaches(steps)} steps'
+    if track.herds:
+        text, end = f'{length}    {share} % of the sheep in the goal', ' at the end'
     else:
-        text = f'{length}    {share} % of the sheep in the goal'
+        region, end = f'{track.words[0]} in the region', ''
+        text = f'{length}    {region} in {track.breaches(steps)} steps'
     if track.parting is None:
-        return f'{text} at the end'
+        return f'{text}{end}'
     return f'{text}    \N{BLACK DIAMOND} parting, {track.times[track.parting]:.4g} s'

@@ -67,6 +67,11 @@ class EpisodeTrack:
         """Return whether sheep belong into the goal; else those in it are breaches."""
         return self.words[0] == 'sheep'
 
+    @property
+    def middle(self) -> _Array:
+        """Return what a picture follows: the flock's center, or the payload's; (T, 2) m."""
+        return self.center if self.herds else self.goal
+
     def breaches(self, step: int) -> int:
         """Return the number of steps until then with somebody in the goal."""
         return int((self.in_goal[: step + 1] > 0).sum())

@@ -45,9 +45,13 @@ def test_after_a_terminal_state_nothing_is_expected_and_after_a_limit_the_value(
     value = torch.tensor([[10.0, 10.0], [20.0, 20.0], [30.0, 30.0]])
     following = torch.tensor([[20.0, 20.0], [0.0, 7.0], [5.0, 5.0]])  # terminal, limit at t = 1
     ended = torch.tensor([[False, False], [True, True], [False, False]])
-    got = advantages(reward, value, following, ended, 0.5, 0.5)
-    assert got[:, 0].tolist() == [1 + 10 - 10 + 0.25 * (2 - 20), 2 + 0 - 20, 4 + 2.5 - 30]
-    assert got[:, 1].tolist() == [1 + 10 - 10 + 0.25 * (2 + 3.5 - 20), 2 + 3.5 - 20, 4 + 2.5 - 30]
+    computed = advantages(reward, value, following, ended, 0.5, 0.5)
+    assert computed[:, 0].tolist() == [1 + 10 - 10 + 0.25 * (2 - 20), 2 + 0 - 20, 4 + 2.5 - 30]
+    assert computed[:, 1].tolist() == [
+        1 + 10 - 10 + 0.25 * (2 + 3.5 - 20),
+        2 + 3.5 - 20,
+        4 + 2.5 - 30,
+    ]
 
 
 def test_worlds_that_end_begin_anew_alone_and_their_frames_with_them() -> None:
@@ -62,16 +66,16 @@ def test_worlds_that_end_begin_anew_alone_and_their_frames_with_them() -> None:
         return gained
 
     rollout.reward = reward
-    kept = {}
+    stored = {}
     batch = rollout._batch
 
     def keep(made: object, *numbers: float) -> object:
-        kept['made'] = made
+        stored['made'] = made
         return batch(made, *numbers)  # type: ignore[arg-type]
 
     rollout._batch = keep  # type: ignore[assignment,method-assign]
     rollout.collect(0.9, 0.9, 1.0)
-    made = kept['made']
+    made = stored['made']
     together = made.ended.all(dim=-1)  # type: ignore[attr-defined]
     alone = made.ended & ~together[..., None]  # type: ignore[attr-defined]
     assert alone.any()

@@ -17,6 +17,7 @@ from shepherd_ros.ros.node import message_type, quality
 from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.presets import world_preset
+from shepherd_ros.sim.tasks import TASKS
 from shepherd_ros.sim.world import SpawnConfig, WorldConfig
 from shepherd_ros.wire.topics import contract
 
@@ -220,6 +221,7 @@ def options_of(executable: str) -> dict[str, Any]:
             ('', WorldConfig),
             ('spawn.', SpawnConfig),
             *((f'{name}.', model.config) for name, model in FLOCK_MODELS.items()),
+            *((f'{name}.', task) for name, task in TASKS.items()),
         ),
         'lidar': (('', LidarConfig),),
         'strombom': (('', StrombomConfig),),

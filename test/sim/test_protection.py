@@ -100,9 +100,9 @@ def test_ends_and_rewards_are_those_of_the_numbers(
 ) -> None:
     task = Protection()
     assert bool(task.terminated(state)) == ends
-    got = reward_terms(state, RewardConfig(), 200, names=task.terms)
-    assert list(got) == ['breach', 'nearness', 'collision', 'arrival']
-    assert [float(term) for term in got.values()] == pytest.approx(list(terms), abs=1e-12)
+    computed = reward_terms(state, RewardConfig(), 200, names=task.terms)
+    assert list(computed) == ['breach', 'nearness', 'collision', 'arrival']
+    assert [float(term) for term in computed.values()] == pytest.approx(list(terms), abs=1e-12)
     strayed = reward_terms(state, RewardConfig(others=(('stray', -2.0),)), 200, names=task.terms)
     assert float(strayed['stray']) == pytest.approx(-2 * (3 - 2) / 200)
     heavier = RewardConfig(others=(('breach', -40.0),))

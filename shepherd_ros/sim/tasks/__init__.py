@@ -11,9 +11,9 @@ from __future__ import annotations
 from importlib import import_module
 from pkgutil import iter_modules
 
-from shepherd_ros.sim.tasks.task import Task, TASKS
+from shepherd_ros.sim.tasks.base_task import Task, TASKS
 
-__all__ = ['herding', 'protection', 'Task', 'task', 'TASKS']
+__all__ = ['herding', 'protection', 'Task', 'TASKS']
 
 for info in iter_modules(__path__):
     import_module(f'{__name__}.{info.name}')

@@ -10,7 +10,7 @@ from shepherd_ros.sim.goal_motion import first_destination
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.sim.rng import direction, normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
-from shepherd_ros.sim.tasks.task import drawn_radius, Task, TASKS, team_mask
+from shepherd_ros.sim.tasks.base_task import drawn_radius, Task, TASKS, team_mask
 import torch
 from torch import Tensor
 

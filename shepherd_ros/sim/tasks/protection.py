@@ -15,19 +15,19 @@ from shepherd_ros.sim.flocking import model_of
 from shepherd_ros.sim.reward import REWARD_TERMS, RewardTerm, Step
 from shepherd_ros.sim.rng import direction, normal, Stream, uniform
 from shepherd_ros.sim.state import WorldState
+from shepherd_ros.sim.tasks.base_task import drawn_radius, Task, TASKS, team_mask
 from shepherd_ros.sim.tasks.protection_metrics import (
     arrived,
     breached,
     collided,
     PROTECTION_METRICS,
 )
-from shepherd_ros.sim.tasks.task import drawn_radius, Task, TASKS, team_mask
 from shepherd_ros.sim.vectors import bearing, from_bearing
 import torch
 from torch import Tensor
 
-NEAR = 3.0  # [m] from the rim, within which pedestrians cost
-DRAWS = 16  # places that are drawn for a pedestrian, of which it takes the first free one
+_NEAR = 3.0  # [m] from the rim, within which pedestrians cost
+_DRAWS = 16  # places that are drawn for a pedestrian, of which it takes the first free one
 
 
 @TASKS.add
@@ -93,10 +93,10 @@ class Protection(Task):
 
     def _pedestrians(self, seed: Tensor, n: int, payload: Tensor, radius: Tensor) -> Tensor:
         """Return places in the square away from the payload (..., 2) m; (..., n, 2) m."""
-        index = torch.arange(n * DRAWS * 2, device=seed.device).reshape(n, DRAWS, 2)
+        index = torch.arange(n * _DRAWS * 2, device=seed.device).reshape(n, _DRAWS, 2)
         zero, half = torch.zeros_like(seed), self.square / 2
         drawn = uniform(seed, zero, Stream.SHEEP_POSITION, index, torch.float64)
-        places = (2 * drawn - 1) * half  # (..., n, DRAWS, 2)
+        places = (2 * drawn - 1) * half  # (..., n, _DRAWS, 2)
         distance = torch.linalg.vector_norm(places - payload[..., None, None, :], dim=-1)
         free = distance > (radius + self.clearance)[..., None, None]
         first = free.int().argmax(dim=-1)[..., None, None].expand(*places.shape[:-2], 1, 2)
@@ -115,7 +115,7 @@ def _breach(step: Step, weight: float) -> Tensor:
 
 
 def _nearness(step: Step, weight: float) -> Tensor:
-    near = (1 - step.after.gap / NEAR).clamp(min=0) * step.after.sheep_mask
+    near = (1 - step.after.gap / _NEAR).clamp(min=0) * step.after.sheep_mask
     return weight * near.sum(dim=-1) / step.episode_steps
 
 
