@@ -10,7 +10,7 @@ CONTROLLER ?= policy
 SHEEP ?= 100
 FLOCK ?= strombom
 else
-CONTROLLER ?= block
+CONTROLLER ?= intercept
 SHEEP ?=
 FLOCK ?=
 endif

@@ -1,5 +1,5 @@
 """
-Escorts by rule: a static ring, a wedge ahead, and a greedy block, to compare with.
+Escorts by rule, to compare with: a static ring, a wedge, a greedy block and an interception.
 
 All move with the payload: their places are those of the next step.
 """
@@ -13,9 +13,11 @@ from shepherd_ros.config import Config, option
 from shepherd_ros.controllers.controller import Controller, CONTROLLERS, Memory, places_on_arc
 from shepherd_ros.sim.goal_motion import moved_goal
 from shepherd_ros.sim.state import WorldState
-from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, unit, wrap
+from shepherd_ros.sim.vectors import bearing, clip_norm, EPSILON, from_bearing, unit, wrap
 import torch
 from torch import Tensor
+
+BODY = 0.5  # [m] radius of the payload's body
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,19 @@ class WedgeConfig(EscortConfig):
     )
 
 
+@dataclass(frozen=True)
+class InterceptConfig(EscortConfig):
+    """Options of the interception."""
+
+    horizon: float = option(30.0, 'pedestrians that arrive within this time count [s]', low=0.0)
+    clearance: float = option(1.2, 'arrive: come so near to the rim of the region [m]', low=0.0)
+    approach: float = option(0.7, 'distance to a pedestrian at which it is met [m]', low=0.0)
+    pace: float = option(0.35, 'speed that a pedestrian is taken to have [m/s]', low=0.0)
+    spacing: float = option(
+        1.6, 'largest angle between places without a pedestrian, around the course [rad]', low=0.0
+    )
+
+
 class Escorts(Controller):
     """Escorts that go to places at the next step's payload at their top speed."""
 
@@ -42,8 +57,7 @@ class Escorts(Controller):
     def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return velocities toward the places, (..., H, 2) m/s, and memory, which stays empty."""
         payload = moved_goal(state, self.world)
-        ring = (state.goal_radius + self.config.margin)[..., None, None]
-        place = payload[..., None, :] + ring * self.places(state, payload)
+        place = payload[..., None, :] + self.places(state, payload)
         speed, dt = self.world.shepherd_speed, self.world.dt
         command = clip_norm((place - state.shepherds) / dt, speed)
         return torch.where(state.shepherd_mask[..., None], command, 0.0), memory
@@ -53,14 +67,41 @@ class Escorts(Controller):
         return bearing(state.destination - state.goal)[..., None]
 
     def places(self, state: WorldState, payload: Tensor) -> Tensor:
-        """Return the directions of the places from the payload (..., 2) m; (..., H, 2)."""
+        """Return the places around the payload (..., 2) m at the next step, (..., H, 2) m."""
         raise NotImplementedError
 
-    def on_arc(self, state: WorldState, spacing: Tensor) -> Tensor:
-        """Return directions spaced (..., 1) rad around the course, (..., H, 2)."""
+    def on_arc(self, state: WorldState, spacing: Tensor, margin: float) -> Tensor:
+        """Return places at a margin [m] to the rim, spaced (..., 1) rad; (..., H, 2) m."""
         course = self.course(state)
         around = wrap(bearing(state.shepherds - state.goal[..., None, :]) - course)
-        return from_bearing(course + places_on_arc(around, spacing, state.shepherd_mask))
+        directions = from_bearing(course + places_on_arc(around, spacing, state.shepherd_mask))
+        return (state.goal_radius + margin)[..., None, None] * directions
+
+
+def even(state: WorldState) -> Tensor:
+    """Return the angle between even places all around, (..., 1) rad."""
+    return 2 * math.pi / state.team_size[..., None].clamp(min=1)
+
+
+def met(place: Tensor, urgency: Tensor, others: Tensor, escorts: Tensor, mask: Tensor) -> Tensor:
+    """
+    Return places of escorts (..., H, 2) m: those of pedestrians, or others where none is left.
+
+    The most urgent pedestrian gets the escort nearest to its place (..., N, 2) m, then the next
+    one; urgency (..., N) is inf where a pedestrian needs none. mask (..., H) bool.
+    """
+    free, waiting = mask, urgency
+    for _ in range(escorts.shape[-2]):
+        next_one = waiting.argmin(dim=-1, keepdim=True)  # (..., 1)
+        found = waiting.gather(-1, next_one).isfinite()
+        own = place.gather(-2, next_one[..., None].expand(*next_one.shape, 2))  # (..., 1, 2)
+        length = torch.linalg.vector_norm(own - escorts, dim=-1)
+        escort = torch.where(free, length, torch.inf).argmin(dim=-1, keepdim=True)
+        taken = torch.zeros_like(free).scatter(-1, escort, True) & free & found
+        others = torch.where(taken[..., None], own, others)
+        free = free & ~taken
+        waiting = waiting.scatter(-1, next_one, torch.inf)
+    return others
 
 
 @CONTROLLERS.add
@@ -72,10 +113,11 @@ class RingController(Escorts):
     label = 'static ring'
     order = 20
     style = ('#0072B2', '-', 'o')
+    config: EscortConfig
 
     def places(self, state: WorldState, payload: Tensor) -> Tensor:
-        """Return the directions of a ring, (..., H, 2)."""
-        return self.on_arc(state, 2 * math.pi / state.team_size[..., None].clamp(min=1))
+        """Return the places of a ring, (..., H, 2) m."""
+        return self.on_arc(state, even(state), self.config.margin)
 
 
 @CONTROLLERS.add
@@ -90,18 +132,17 @@ class WedgeController(Escorts):
     config: WedgeConfig
 
     def places(self, state: WorldState, payload: Tensor) -> Tensor:
-        """Return the directions of an arc, (..., H, 2)."""
+        """Return the places of an arc, (..., H, 2) m."""
         gaps = (state.team_size[..., None] - 1).clamp(min=1)
-        return self.on_arc(state, self.config.opening / gaps)
+        return self.on_arc(state, self.config.opening / gaps, self.config.margin)
 
 
 @CONTROLLERS.add
 class BlockController(Escorts):
     """
-    Each escort between the payload and an approaching pedestrian.
+    Each escort between the payload and the nearest pedestrian that walks toward it.
 
-    The nearest pedestrian that heads for the payload gets the escort nearest to its place, then
-    the next one; escorts without one stand on the ring.
+    Escorts without one stand on the ring.
     """
 
     name = 'block'
@@ -109,25 +150,62 @@ class BlockController(Escorts):
     label = 'greedy block'
     order = 22
     style = ('#009E73', '-.', 's')
+    config: EscortConfig
 
     def places(self, state: WorldState, payload: Tensor) -> Tensor:
-        """Return the directions of the places, (..., H, 2)."""
-        place = self.on_arc(state, 2 * math.pi / state.team_size[..., None].clamp(min=1))
+        """Return the places, (..., H, 2) m."""
         offset = state.sheep - payload[..., None, :]
         approaching = ((state.heading * offset).sum(dim=-1) < 0) & state.sheep_mask
-        waiting = torch.where(approaching, torch.linalg.vector_norm(offset, dim=-1), torch.inf)
-        toward, free = unit(offset), state.shepherd_mask
-        ring = (state.goal_radius + self.config.margin)[..., None, None]
-        for _ in range(state.shepherds.shape[-2]):
-            nearest = waiting.argmin(dim=-1, keepdim=True)  # (..., 1)
-            found = waiting.gather(-1, nearest).isfinite()
-            course = toward.gather(-2, nearest[..., None].expand(*nearest.shape, 2))  # (..., 1, 2)
-            length = torch.linalg.vector_norm(
-                payload[..., None, :] + ring * course - state.shepherds, dim=-1
-            )
-            escort = torch.where(free, length, torch.inf).argmin(dim=-1, keepdim=True)
-            taken = torch.zeros_like(free).scatter(-1, escort, True) & free & found
-            place = torch.where(taken[..., None], course, place)
-            free = free & ~taken
-            waiting = waiting.scatter(-1, nearest, torch.inf)
-        return place
+        urgency = torch.where(approaching, torch.linalg.vector_norm(offset, dim=-1), torch.inf)
+        rim = (state.goal_radius + self.config.margin)[..., None, None] * unit(offset)
+        others = self.on_arc(state, even(state), self.config.margin)
+        escorts = state.shepherds - payload[..., None, :]
+        return met(rim, urgency, others, escorts, state.shepherd_mask)
+
+
+@CONTROLLERS.add
+class InterceptController(Escorts):
+    """
+    Each escort close to the pedestrian that enters the region next, on its side of the payload.
+
+    Who enters follows from constant velocities of pedestrians and payload. Escorts without one
+    stand around the payload, most of them ahead.
+    """
+
+    name = 'intercept'
+    config_type = InterceptConfig
+    label = 'interception'
+    order = 23
+    style = ('#CC79A7', (0, (3, 1, 1, 1)), 'D')
+    config: InterceptConfig
+
+    def places(self, state: WorldState, payload: Tensor) -> Tensor:
+        """Return the places, (..., H, 2) m."""
+        offset = state.sheep - payload[..., None, :]
+        distance = torch.linalg.vector_norm(offset, dim=-1)
+        reach = (distance - self.config.approach).clamp(min=BODY)
+        place = reach[..., None] * unit(offset)
+        urgency = torch.where(state.sheep_mask, self.arrival(state, payload), torch.inf)
+        spacing = even(state).clamp(max=self.config.spacing)
+        others = self.on_arc(state, spacing, self.config.margin)
+        escorts = state.shepherds - payload[..., None, :]
+        return met(place, urgency, others, escorts, state.shepherd_mask)
+
+    def arrival(self, state: WorldState, payload: Tensor) -> Tensor:
+        """
+        Return the times until pedestrians come near the region, (..., N) s; inf if they do not.
+
+        For those that are near they are negative, the less the nearer they are.
+        """
+        offset = state.sheep - payload[..., None, :]
+        velocity = self.config.pace * state.heading
+        velocity = velocity - ((payload - state.goal) / self.world.dt)[..., None, :]
+        rim = (state.goal_radius + self.config.clearance)[..., None]
+        # time at which |offset + time velocity| = rim
+        a = (velocity * velocity).sum(dim=-1).clamp(min=EPSILON)
+        b = (offset * velocity).sum(dim=-1)
+        c = (offset * offset).sum(dim=-1) - rim * rim
+        root = b * b - a * c
+        time = (-b - root.clamp(min=0).sqrt()) / a
+        time = torch.where((root < 0) | (time < 0) | (time > self.config.horizon), torch.inf, time)
+        return torch.where(c <= 0, c, time)
