@@ -47,6 +47,7 @@ class WorldRequests:
         self.goal_output = node.advertise('goal_pose')
         self.server: PageServer | None = None  # once it runs
         self.present = False
+        self.current = self.asking = False  # whether settings are those of the world, or to come
         self.paused: bool | None = None
         self.changed = -REPORT_DELAY  # when a page paused it or let it go on [s]
         self.rate = 0.0
@@ -75,7 +76,9 @@ class WorldRequests:
         messages = [report['message'] for report in reports if report['name'] == name]
         if self.node.wall() - self.changed > REPORT_DELAY:
             self.paused = messages[0] == 'paused' if present and messages else None
-        if present and not self.present:
+        if not present:
+            self.current = False
+        elif not (self.current or self.asking):
             self.refresh()
         self.present = present
         self.say()
@@ -88,11 +91,13 @@ class WorldRequests:
         )  # fmt: skip
 
     def refresh(self) -> None:
-        """Ask the world for its parameters and tell them."""
+        """Ask the world for its parameters and tell them; look() asks again without an answer."""
         names = [*SETTINGS, 'rate']
+        self.current, self.asking = False, True
 
         def described(answer: Any, reason: str) -> None:
-            if answer is not None and len(answer.descriptors) == len(names):
+            self.asking = answer is not None and len(answer.descriptors) == len(names)
+            if self.asking:
                 self._call(
                     'get_parameters',
                     GetParameters.Request(names=names),
@@ -100,7 +105,9 @@ class WorldRequests:
                 )
 
         def with_values(descriptors: list[Any], answer: Any, reason: str) -> None:
-            if answer is not None and len(answer.values) == len(names):
+            self.asking = False
+            self.current = answer is not None and len(answer.values) == len(names)
+            if self.current:
                 values = [parameter_value_to_python(value) for value in answer.values]
                 about = {
                     name: _about(descriptor, value)

@@ -13,13 +13,15 @@ from typing import Any
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
-from console.pages_of_tests import TestPage
+from console.pages_of_tests import ANSWER, TestPage
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from nodes.process import Graph, LATCHED
+from nodes.process import DEADLINE, Graph, LATCHED
 import numpy as np
 import pytest
-from shepherd_ros.console.drives import DEAD_MAN
+from shepherd_ros.console import drives
 from shepherd_ros.console.messages import MESSAGE_KINDS
+from shepherd_ros.console.page_server import PageServer
+from shepherd_ros.nodes.console_calls import Done
 from shepherd_ros.nodes.console_node import ConsoleNode
 from shepherd_ros.recordings.episodes import iter_episodes
 from shepherd_ros.ros.runtime import EXIT_USAGE
@@ -42,6 +44,7 @@ def sim(shared_graph: Graph) -> Any:
         remaps = (f'shepherd_{h}/cmd_vel:=shepherd_{h}/cmd_vel/{name}' for h in range(2))
         shared_graph.host(name, *(word for remap in remaps for word in ('-r', remap)))
     sources = {'topics.idle.priority': 5, 'topics.idle.answers': True}
+    sources |= {'topics.console.timeout': 3.0}  # a busy machine sends a page's commands late
     shared_graph.host('mux', default='strombom', **sources)
     return shared_graph.host(
         'flock_sim', n_sheep=12, n_shepherds=2, episode_steps=100_000, rate=100.0
@@ -76,7 +79,9 @@ def page(shared_graph: Graph, console: ConsoleNode) -> Iterator[TestPage]:
             and opened.last('world').get('settings')
             and opened.frames
         ),
-        lambda: f'what is there: {opened.messages.keys()}',
+        lambda: (
+            f'all of {len(opened.frames)} frames, {opened.last("drivers")}, {opened.last("world")}'
+        ),
     )
     yield opened
     opened.close()
@@ -183,7 +188,7 @@ def status(console: ConsoleNode, path: str, **headers: str) -> tuple[int, str]:
     """Return status and text of a request."""
     request = Request(console.address + path, headers=headers)
     try:
-        with urlopen(request, timeout=10) as answer:
+        with urlopen(request, timeout=ANSWER) as answer:
             return answer.status, answer.read().decode()
     except HTTPError as error:
         return error.code, error.read().decode()
@@ -224,13 +229,15 @@ def test_elsewhere_than_on_loopback_a_token_is_needed(
     address, token = node.address.split('?token=')
     assert status(console, '')[0] == 200  # which needs none
     with pytest.raises(HTTPError, match='403'):
-        urlopen(address, timeout=10)
+        urlopen(address, timeout=ANSWER)
     with pytest.raises(HTTPClientError, match='403'):
         TestPage(address)
-    with urlopen(node.address, timeout=10) as answer:
+    with urlopen(node.address, timeout=ANSWER) as answer:
         cookie = answer.headers['Set-Cookie'].split(';')
     assert {' HttpOnly', ' SameSite=Strict'} <= set(cookie)
-    with urlopen(Request(f'{address}console.js', headers={'Cookie': cookie[0]}), timeout=10) as a:
+    with urlopen(
+        Request(f'{address}console.js', headers={'Cookie': cookie[0]}), timeout=ANSWER
+    ) as a:
         assert a.status == 200
     page = TestPage(f'{address}?token={token}')
     shared_graph.until(lambda: page.last('hello'), 'it is let in')
@@ -320,6 +327,28 @@ def test_reset_with_a_seed_and_settings_of_the_next_episode(
     assert 'seed 78' in ask(shared_graph, page, 'reset')
 
 
+def test_settings_that_are_not_answered_are_asked_for_again(
+    shared_graph: Graph, page: TestPage, console: ConsoleNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world, lost = console.world, ['describe_parameters', 'get_parameters']
+    call = world.calls.call
+
+    def lose(server: PageServer, name: str, request: Any, done: Done) -> None:
+        if lost and name.endswith(lost[0]):
+            lost.pop(0)
+            done(None, 'no answer')
+        else:
+            call(server, name, request, done)
+
+    before = page.last('world')['settings']
+    monkeypatch.setattr(world.calls, 'call', lose)
+    monkeypatch.setattr(world, 'settings', {})
+    monkeypatch.setattr(world, 'current', False)
+    shared_graph.until(lambda: page.last('world')['settings'] == {}, 'they are not known')
+    shared_graph.until(lambda: page.last('world')['settings'] == before, 'they are known again')
+    assert lost == []
+
+
 def test_the_pace_and_the_goal(shared_graph: Graph, page: TestPage, sim: Any) -> None:
     goals = shared_graph.collect('goal', PoseStamped, LATCHED)
     assert ask(shared_graph, page, 'rate', rate=50) == '50 steps per second'
@@ -397,19 +426,24 @@ def test_a_shepherd_stops_when_its_page_is_silent(shared_graph: Graph, page: Tes
         TwistStamped, 'shepherd_0/cmd_vel/console', hear, 100
     )
     shared_graph.until(lambda: hearing.get_publisher_count() == 1, 'the console publishes')
+    sent = time.monotonic()
     page.send('drive', shepherd=0, x=0.5, y=0.0)
-    last = time.monotonic()
     shared_graph.until(lambda: velocities and velocities[-1][1] == 0.0, 'zero')
     assert [x for _, x in velocities] == [0.5, 0.0]
-    assert velocities[-1][0] - last > DEAD_MAN - 0.05
+    assert velocities[-1][0] - sent > drives.DEAD_MAN
     shared_graph.until(lambda: page.last('pages')['driven'] == {}, 'it is released')
     shared_graph.node.destroy_subscription(hearing)
 
 
 @pytest.mark.parametrize('ending', ['blur', 'release', 'close'])
 def test_a_page_takes_a_shepherd_by_hand_and_gives_it_back(
-    shared_graph: Graph, page: TestPage, sim: Any, ending: str
+    shared_graph: Graph,
+    page: TestPage,
+    sim: Any,
+    ending: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(drives, 'DEAD_MAN', DEADLINE)
     ask(shared_graph, page, 'driver', shepherd=0, source='idle')
     shared_graph.until(lambda: page.last('drivers')['drivers'][0] == 'idle', 'idle drives')
     commands = shared_graph.collect('shepherd_0/cmd_vel/console', TwistStamped)
@@ -429,14 +463,12 @@ def test_a_page_takes_a_shepherd_by_hand_and_gives_it_back(
         return '' if answer['ok'] else answer['text']
 
     assert 'driven from page' in shared_graph.until(refusal, 'this page is refused')
-    begun = sim.now_ns
-    shared_graph.until(
-        lambda: held() and sim.now_ns > begun + 5 * sim.dt_ns,
-        lambda: f'it moves: {page.last("drivers")}',
-    )
-    after = sim.state.shepherds[0].tolist()
-    assert after[0] > before[0] + 0.4
-    assert after[1] < before[1] - 0.2
+
+    def moved() -> bool:
+        x, y = sim.state.shepherds[0].tolist()
+        return x > before[0] + 0.4 and y < before[1] - 0.2
+
+    shared_graph.until(lambda: held() and moved(), lambda: f'it moves: {page.last("drivers")}')
     assert {(c.twist.linear.x, c.twist.linear.y) for c in commands} <= {(0.5, -0.25), (0.0, 0.0)}
     if ending == 'close':
         other.close()
@@ -456,6 +488,7 @@ def test_a_page_takes_a_shepherd_by_hand_and_gives_it_back(
 
 
 @SLOW
+@pytest.mark.system
 def test_a_recording_is_whole_and_is_replayed(
     shared_graph: Graph, page: TestPage, record_dir: Path
 ) -> None:

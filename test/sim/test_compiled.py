@@ -25,7 +25,7 @@ FLOCKS = [
     StrombomFlock(metric_attraction=True, sheep_range=10.0),
     StrombomFlock(shepherd_range=6.0, graze_probability=0.5),
     ReynoldsFlock(),
-    ReynoldsFlock(view_range=2.0, max_acceleration=5.0),
+    ReynoldsFlock(view_range=2.5, max_acceleration=5.0),
     ReynoldsFlock(terms='raw'),
 ]
 CONTROLLERS = [
@@ -80,6 +80,8 @@ def test_a_compiled_scan_equals_the_plain_one_but_for_rays_that_graze_a_rim(
     _, state = worlds(StrombomFlock(), 60, batch=8)
     state.shepherds[:, 1] = state.shepherds[:, 0] + torch.tensor([0.2, 0.1])
     state.shepherds[:, 2] = state.sheep[:, 0] + torch.tensor([-0.1, 0.3])
+    inside, radius = state.shepherds[:, 0] + torch.tensor([1.5, -0.5]), torch.arange(8) + 1.0
+    state = replace(state, goal=inside, goal_radius=radius)
     config = LidarConfig(n_rays=n_rays, range_max=20.0, contact=contact)
     fast, plain = both(monkeypatch, scan, state, config)
     same = (fast == plain) | ((fast - plain).abs() < 2e-3)
@@ -119,6 +121,7 @@ def test_a_compiled_controller_answers_as_the_plain_one_wherever_goal_and_headin
         config, state = worlds(StrombomFlock(), n_sheep, batch=24)
         config, turn = replace(config, dt=0.3), torch.arange(24.0)
         state.sheep_mask[:, :3] = True  # as two are equally far from their center
+        state.shepherds[::4, 1] = state.shepherds[::4, 0]  # who are told apart by their index
         goal = state.goal + torch.stack([7.0 - turn, turn - 3.0], dim=-1)
         state = replace(state, goal=goal)
         controller = make_controller(name, config, **options)

@@ -23,7 +23,7 @@ FLAGS = (
     '--disable-background-networking', '--disable-component-update', '--disable-sync',
     '--disable-dev-shm-usage', '--window-size=1280,800',
 )  # fmt: skip
-PATIENCE = 20.0  # [s] for anything to happen
+PATIENCE = 60.0  # [s] for anything to happen
 PIXEL = """
 const [x, y, beside] = arguments, {ground, canvas} = PLANE, dots = window.devicePixelRatio;
 const column = ground.X(x) + beside, row = ground.Y(y);
