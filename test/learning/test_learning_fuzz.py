@@ -33,6 +33,7 @@ def folder() -> Iterator[Path]:
         yield Path(name)
 
 
+@pytest.mark.system
 def test_damaged_and_hostile_files_end_in_words(folder: Path, commands: Path) -> None:
     seeds = folder / 'seeds'
     (seeds / 'bags').mkdir(parents=True)

@@ -59,6 +59,7 @@ def seeds(place: Path) -> Path:
     return folder
 
 
+@pytest.mark.system
 def test_damaged_files_end_in_words(place: Path, seeds: Path) -> None:
     work = place / 'work'
     work.mkdir()
