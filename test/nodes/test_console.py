@@ -32,6 +32,7 @@ from tornado.httpclient import HTTPClientError
 from tornado.websocket import WebSocketClosedError
 from view.browser import chromium, Reader
 
+pytestmark = pytest.mark.xdist_group('console')  # one graph for all
 SLOW = pytest.mark.timeout(240)  # processes that import torch
 
 

@@ -22,6 +22,7 @@ from shepherd_ros.sim.world import SpawnConfig, WorldConfig
 from shepherd_ros.wire.topics import contract
 
 CONTRACT, PROFILES = contract()
+pytestmark = pytest.mark.xdist_group('contract')  # one stack for all
 TASK = world_preset().task  # the metrics of other tasks are published in their episodes
 TOPICS = {
     topic: row

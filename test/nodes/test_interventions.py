@@ -32,6 +32,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 import torch
 
+pytestmark = pytest.mark.xdist_group('interventions')  # one bag for all
 RAYS, STEPS = 32, 24
 OBSERVATION = ObservationConfig(frame_interval=1.0, align='goal', unit=10.0)
 POLICY = PolicyConfig(

@@ -85,6 +85,7 @@ def test_remapping_on_the_side_of_the_world_decides_as_well(graph: Graph) -> Non
     assert_same_states(track, mixed(drivers))
 
 
+@pytest.mark.system
 def test_two_whole_stacks_in_namespaces_do_not_hear_each_other(graph: Graph) -> None:
     spaces = {'/left': 3, '/right': 8}
     tracks = {space: graph.track(space) for space in spaces}
