@@ -26,6 +26,8 @@ import traceback
 from types import FrameType
 from typing import Any
 
+from installed import executables
+
 FORKS = mp.get_context('forkserver')
 FORKS.set_forkserver_preload(
     [
@@ -38,7 +40,7 @@ FORKS.set_forkserver_preload(
 )
 DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 COMMANDS = ('shepherd', 'python', 'pierson', 'strombom', 'random')
-BIN = Path(sys.executable).parent
+BIN = executables()
 # two processes of a command, which comes after this
 TORCHRUN = ['-m', 'torch.distributed.run', '--standalone', '--nproc-per-node', '2', '--no-python']
 CLIENT = """#!{python} -IS

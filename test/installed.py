@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from functools import cache
 from importlib.util import find_spec
+import os
 from pathlib import Path
 import re
+import sys
 
 HERE = Path(__file__).resolve().parent
 PACKAGE = 'shepherd_ros'
+# what runs programs of ours, which need all that the package requires
+RUNS = re.compile(r'\b(subprocess|runpy|commands|generate|sys\.executable)\b')
+MODULES = {'pillow': 'PIL', 'pyyaml': 'yaml'}  # of distributions with another name
 # at the start of a line, as those of functions and for type checkers are not
 IMPORTS = re.compile(r'^(?:from (\S+) import (\([^)]*\)|.*)|import ([\w.]+))', re.MULTILINE)
 
@@ -51,10 +56,28 @@ def _edges(path: Path) -> tuple[set[str], list[Path]]:
     return others, [*dict.fromkeys(file for own in files.values() for file in own or ())]
 
 
+def executables() -> Path:
+    """Return the folder of the executables: beside this Python, or in a workspace of colcon."""
+    prefixes = filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep))
+    own = Path(sys.executable).parent
+    folders = (own, *(Path(prefix, 'lib', PACKAGE) for prefix in prefixes))
+    return next((folder for folder in folders if (folder / 'shepherd').is_file()), own)
+
+
+@cache
+def required() -> frozenset[str]:
+    """Return the packages that the package requires."""
+    setup = (HERE.parent / 'setup.py').read_text(encoding='utf-8')
+    listed = setup.partition('install_requires=[')[2].partition('],\n')[0]
+    names = re.findall(r"'([\w-]+)", listed)
+    return frozenset(MODULES.get(name, name) for name in names)
+
+
 @cache
 def needed(path: Path) -> frozenset[str]:
-    """Return the packages of others that importing a file imports, also through our own files."""
-    found: set[str] = set()
+    """Return the packages of others that a file of tests imports, also through our own files."""
+    runs_programs = RUNS.search(path.read_text(encoding='utf-8'))
+    found = set(required()) if runs_programs else set[str]()
     seen, waiting = {path}, [path]
     while waiting:
         others, own = _edges(waiting.pop())

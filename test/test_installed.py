@@ -4,7 +4,7 @@ import re
 import sys
 import xml.etree.ElementTree as ET
 
-from installed import HERE, needed
+from installed import HERE, needed, required
 
 ROOT = HERE.parent
 OTHER_NAMES = {
@@ -16,6 +16,8 @@ OTHER_NAMES = {
 def test_packages_are_found_through_our_own_files() -> None:
     assert {'pytest', 'rclpy', 'torch', 'safetensors'} <= needed(HERE / 'nodes/test_parity.py')
     assert 'rclpy' not in needed(HERE / 'sim/test_env.py')
+    assert {'mcap', 'PIL', 'tyro', 'yaml'} <= needed(HERE / 'nodes/test_imports.py')
+    assert 'imageio' in required()
 
 
 def test_each_package_that_a_test_needs_is_in_setup_or_manifest() -> None:

@@ -97,7 +97,8 @@ def make_scene(
     axes.grid(color=GRID, linewidth=0.8)
     axes.set_axisbelow(True)
     axes.tick_params(length=0, labelsize=8, labelcolor=FAINT, pad=4)
-    axes.spines[:].set(color='#C9CFD3', linewidth=0.8)
+    for spine in axes.spines.values():
+        spine.set(color='#C9CFD3', linewidth=0.8)
     line(figure, 27, fontsize=12.5, weight='bold', color=INK).set_text(track.title)
     return figure, axes
 

@@ -23,7 +23,7 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from forks import die_with_tests, FORKS
+from forks import BIN, die_with_tests, FORKS
 from geometry_msgs.msg import PoseArray, TwistStamped
 from rcl_interfaces.msg import Log
 from rcl_interfaces.srv import SetParameters
@@ -49,7 +49,6 @@ import torch
 from torch import Tensor
 
 EXECUTABLES = tuple(NODES)
-BIN = Path(sys.executable).parent
 DEADLINE = 100.0  # [s] for anything that should happen soon, on a machine that has much to do
 
 RELIABLE = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
