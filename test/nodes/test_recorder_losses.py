@@ -1,4 +1,4 @@
-"""What a recorder takes for a loss, by the numbers that publishers give their messages."""
+"""Losses of a recorder, by the numbers that publishers give their messages."""
 
 from __future__ import annotations
 
