@@ -177,13 +177,16 @@ def _table(recorded: RecordedEpisode, future: RecordedEpisode) -> list[dict[str,
 
 
 def _catalog(request: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Return the controllers and checkpoints that there are."""
+    """Return the controllers, and the checkpoints with a trained critic, that are shipped."""
     from shepherd_ros.controllers import CONTROLLERS
+    from shepherd_ros.experiments.value_map import has_critic
     from shepherd_ros.policy.checkpoint import shipped_checkpoints
 
     shipped = sorted(shipped_checkpoints())
     names = sorted(CONTROLLERS.keys() - {'policy'})
-    return {'controllers': names + [f'policy:{name}' for name in shipped], 'checkpoints': shipped}
+    policies = [f'policy:{name}' for name in shipped]
+    taught = [name for name, policy in zip(shipped, policies, strict=True) if has_critic(policy)]
+    return {'controllers': names + policies, 'checkpoints': taught}
 
 
 def _map_values(request: Mapping[str, Any]) -> None:

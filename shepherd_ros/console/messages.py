@@ -46,7 +46,7 @@ MESSAGE_KINDS: dict[str, MessageKind] = {
             'commands': 'commands by name: `doc`, and `fields` by name with their limits',
             'record_dir': 'folder of the bags',
             'controllers': 'controllers that may drive on in a counterfactual',
-            'checkpoints': 'names of the checkpoints that are shipped',
+            'checkpoints': 'names of the shipped checkpoints with a trained critic',
         },
     ),
     'pages': MessageKind(
