@@ -197,9 +197,9 @@ def test_herd_runs_a_stack_in_one_process_and_ends_by_itself(graph: Graph) -> No
 @pytest.mark.parametrize(
     ('words', 'printed'),
     [
-        (['--controller', 'sheepdog'], "'sheepdog': expected one of composite, drover"),
+        (['--controller', 'sheepdog'], "'sheepdog': expected one of "),
         (['--shepherds', '0'], 'n_shepherds is 0: expected a value in'),
-        (['--sheep', '-1'], 'n_sheep is -1'),
+        (['--sheep', '0'], 'n_sheep is 0: expected a value in'),
     ],
 )
 def test_herd_names_what_is_wrong(graph: Graph, words: list[str], printed: str) -> None:
