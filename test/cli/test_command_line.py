@@ -13,12 +13,12 @@ from rosbag2.tiny import tiny_bag
 from shepherd_ros import __version__
 from shepherd_ros.cli import main
 from shepherd_ros.cli.demo_verb import Demo
+from shepherd_ros.experiments.setting import env_config, Setting
 from shepherd_ros.nodes import executables
 from shepherd_ros.sim.metrics import shown
-from shepherd_ros.sim.rollout import advance, EnvConfig, start
+from shepherd_ros.sim.rollout import advance, start
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.state import stack
-from shepherd_ros.sim.world import WorldConfig
 import torch
 
 
@@ -28,13 +28,14 @@ def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) 
 
 
 def test_the_demo_counts_its_metrics_from_every_state_that_it_has_heard() -> None:
-    config = EnvConfig(world=WorldConfig(n_sheep=4, n_shepherds=2, episode_steps=5))
+    setting = Setting(sheep=4, shepherds=2, steps=5)
+    config = env_config(setting)
     moments = [start(spawn(config.world, torch.tensor(3)), config)]
     for _ in range(config.world.episode_steps):
         moments.append(advance(moments[-1], torch.ones(2, 2)))
-    table = Demo._table(stack([moment.state for moment in moments]), 5)
+    table = Demo._table(stack([moment.state for moment in moments]), setting)
     names, values = ([*column.cells] for column in table.columns[:2])
-    assert names == [metric.name for metric in shown('summary')]
+    assert names == [metric.name for metric in shown('summary', config.world.task.metrics)]
     metrics = moments[-1].metrics()
     assert values == [f'{float(metrics[name]):.4g}' for name in names]
 
