@@ -341,13 +341,12 @@ def test_settings_that_are_not_answered_are_asked_for_again(
         else:
             call(server, name, request, done)
 
-    before = page.last('world')['settings']
+    shared_graph.until(lambda: world.current and not world.asking, 'no answer is under way')
     monkeypatch.setattr(world.calls, 'call', lose)
-    monkeypatch.setattr(world, 'settings', {})
-    monkeypatch.setattr(world, 'current', False)
-    shared_graph.until(lambda: page.last('world')['settings'] == {}, 'they are not known')
-    shared_graph.until(lambda: page.last('world')['settings'] == before, 'they are known again')
-    assert lost == []
+    assert console.server
+    console.server.call(world.refresh)
+    shared_graph.until(lambda: not lost and world.current, 'they are known again')
+    assert page.last('world')['settings']
 
 
 def test_the_pace_and_the_goal(shared_graph: Graph, page: TestPage, sim: Any) -> None:
