@@ -561,14 +561,8 @@ def drover_circle(world: World, config: Any, *, restless: bool, notice: float, t
     at, pace = behind + (1 - arc) * turn, top * slow  # along the circle only
 
     if not restless and m < least and inside >= config.lone_share:
-        own = bearings[0]
-        strays = [
-            bearing(x - gx, y - gy)
-            for x, y in world.sheep
-            if length(x - gx, y - gy) - size > config.stray_distance
-        ]
-        at = min(strays, key=lambda stray: abs(wrap(stray - own)), default=own)
-        return world.goal, ring, at, spacing, True, config.ring_speed * top, False
+        circle = notice + config.lone_reach * size
+        return world.goal, circle, bearings[0] + 1.0, spacing, True, config.lone_speed * top, False
     return world.goal, radius, at, spacing, arc < 1, pace, arc == 0
 
 

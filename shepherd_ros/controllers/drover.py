@@ -7,7 +7,8 @@ it need not follow the flock, only turn about the goal. As the flock comes home 
 a ring, from where only sheep far from the middle notice it. Sheep that never rest notice it from
 nearer; it runs to its ring, which is so narrow that they are turned back wherever they go. One or
 two shepherds cannot close it: they run around such a flock and only ever touch its rim, so that it
-turns back and forth over the goal. Shepherds that come near each other pass on the right.
+turns back and forth over the goal. A lone shepherd circles a flock that rests, and so turns back
+whoever is about to leave. Shepherds that come near each other pass on the right.
 
 Its commands follow from the present state alone: it has no memory, so that a policy can learn it.
 """
@@ -28,13 +29,14 @@ from shepherd_ros.controllers.formation import (
     separation,
 )
 from shepherd_ros.sim.state import WorldState
-from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, masked_mean, wrap
+from shepherd_ros.sim.vectors import bearing, clip_norm, from_bearing, masked_mean
 import torch
 from torch import Tensor
 
 EDGE_OVER_RMS = 2**0.5  # of a disc, over the root mean square distance from its middle
 TURN_DISTANCE = 0.75  # [goal radii] from the middle of the goal, within which a flock is turned
 CLOSED_GAP = 4.0  # [rad] a team without a wider gap stands on a ring
+CIRCLE_LEAD = 1.0  # [rad] so far ahead lies the place of a shepherd that circles
 
 
 @dataclass(frozen=True)
@@ -66,9 +68,15 @@ class DroverConfig(Config):
     )
     reopen_share: float = option(0.5, 'and with less than this it opens', low=0.0, high=1.0)
     lone_share: float = option(
-        0.8, 'share inside with which a lone shepherd turns to strays', low=0.0, high=1.0
+        0.7,
+        'share inside with which a lone shepherd circles sheep that rest',
+        low=0.0,
+        high=1.0,
     )
-    stray_distance: float = option(0.5, 'a stray is a sheep so far outside [m]', low=0.0)
+    lone_reach: float = option(
+        0.6, 'sheep so far from the middle notice it [goal radii]', low=-1.0, high=1.0
+    )
+    lone_speed: float = option(0.4, 'pace on that circle, of the top speed', low=0.01, high=1.0)
     ring_speed: float = option(
         0.25, 'pace on a ring about sheep that rest, of the top speed', low=0.01, high=1.0
     )
@@ -191,24 +199,15 @@ class DroverController(Controller):
         )
 
     def _lone_formation(self, state: WorldState, formation: Formation) -> Formation:
-        """Return the formation of a lone shepherd: it faces the nearest stray."""
-        goal, radius = state.goal[..., None, :], state.goal_radius[..., None]
-        team_bearing = bearing(
-            masked_mean(state.shepherds, state.shepherd_mask)[..., None, :] - goal
-        )
-        gap = torch.where(state.sheep_mask, state.gap, -torch.inf)  # (..., N) m
-        outside = gap > self.config.stray_distance
-        stray = bearing(state.sheep - goal)  # (..., N)
-        angle = torch.where(outside, wrap(stray - team_bearing).abs(), torch.inf)
-        smallest, nearest = angle.min(dim=-1, keepdim=True)
-        middle = torch.where(smallest < torch.inf, stray.gather(-1, nearest), team_bearing)
+        """Return the circle of a lone shepherd about the goal, counter-clockwise."""
+        goal, config = state.goal[..., None, :], self.config
+        angle = bearing(masked_mean(state.shepherds, state.shepherd_mask)[..., None, :] - goal)
         return replace(
             formation,
-            distance=self.notice + self.reach * radius,
-            middle=middle,
+            distance=self.notice + config.lone_reach * state.goal_radius[..., None],
+            middle=angle + CIRCLE_LEAD,
             along=torch.ones_like(formation.along),
-            pace=self.config.ring_speed
-            * torch.full_like(formation.pace, self.world.shepherd_speed),
+            pace=torch.full_like(formation.pace, config.lone_speed * self.world.shepherd_speed),
             even=torch.zeros_like(formation.even),
         )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from itertools import product
+from itertools import pairwise, product
 import math
 from typing import Any
 
@@ -70,7 +70,8 @@ def expected(state: WorldState, world: WorldConfig, **options: Any) -> Any:
 OPTIONS: list[dict[str, Any]] = [
     {}, {'standoff': 7.0, 'spacing': 0.4}, {'notice_range': 9.0, 'separation': 6.0, 'gain': 0.2},
     {'ring_reach': -0.5, 'ring_speed': 0.6, 'separation': 0.0}, {'open_from': 6.0},
-    {'lone_share': 0.2, 'stray_distance': 0.1}, {'close_share': 0.3, 'reopen_share': 0.9},
+    {'lone_share': 0.2, 'lone_reach': -0.2, 'lone_speed': 0.9},
+    {'close_share': 0.3, 'reopen_share': 0.9},
     {'touch_depth': 2.0, 'touch_angle': 0.5, 'touch_distance': 3.0, 'touch_spacing': 0.6},
 ]  # fmt: skip
 
@@ -165,37 +166,24 @@ def test_it_remembers_nothing() -> None:
     assert float((state.gap <= 0).float().mean()) > 0.9
 
 
-def test_a_lone_shepherd_faces_strays_when_enough_are_inside() -> None:
+def test_a_lone_shepherd_circles_when_enough_are_inside() -> None:
     flocks = [[(0.0, 0.0)] * inside + [(0.0, 6.0)] * (5 - inside) for inside in (3, 4)]
     world = WorldConfig(n_sheep=5, n_shepherds=1)
-    places, _ = settle(beside(*(scene(sheep, [(24.0, 0.0)]) for sheep in flocks)), 700, world)
-    # 0.8 inside: before the stray, beyond the goal's edge; else behind the flock's center
-    for place, beyond in zip(places, (0.0, 0.45 * 4), strict=True):
-        assert place[0].tolist() == pytest.approx([0.0, NOTICE + beyond], abs=0.1)
+    start = beside(*(scene(sheep, [(24.0, 0.0)]) for sheep in flocks))
+    behind, circling = settle(start, 700, world, lone_share=0.8)[1][-1].squeeze(-2).tolist()
+    # 0.6 inside: behind the flock's center; 0.8: where sheep 0.6 goal radii from it notice
+    assert behind == pytest.approx([0.0, NOTICE], abs=0.1)
+    assert math.hypot(*circling) == pytest.approx(NOTICE + 0.6 * 4, abs=0.05)
 
 
-def test_a_lone_shepherd_sets_out_to_the_stray_nearer_in_bearing() -> None:
-    world = WorldConfig(n_sheep=10, n_shepherds=1)
-    for y in (13.0, -13.0):  # 57 and 123 degrees from the strays at 90 and -90
-        home = scene([(0.0, 0.0)] * 8 + [(0.0, 6.0), (0.0, -5.0)], [(20.0, y)])
-        _, (here, present) = settle(home, 1, world)
-        turn = torch.linalg.det(torch.stack([here[0], present[0]]))  # > 0: counter-clockwise
-        assert float(turn) * y > 0
-
-
-def test_a_lone_shepherd_turns_to_the_stray_beside_it() -> None:
-    world = WorldConfig(n_sheep=10, n_shepherds=1)
-    edge = NOTICE + 0.45 * 4
-    sheep = [(0.0, 0.0)] * 8 + [(0.0, 6.0), (0.0, -5.0)]
-    worlds = beside(*(scene(sheep, [(20.0, y)]) for y in (13.0, -13.0)))
-    places, _ = settle(worlds, 700, world)
-    for place, y in zip(places, (edge, -edge), strict=True):
-        assert place[0].tolist() == pytest.approx([0.0, y], abs=0.1)
-
-
-def test_with_all_inside_a_lone_shepherd_stays_where_it_is() -> None:
-    place, _ = settle(scene(square(0, 0), [(0.0, NOTICE + 1.8)]), 50)
-    assert place.tolist() == pytest.approx([0.0, NOTICE + 1.8], abs=1e-6)
+def test_its_circle_is_counter_clockwise_at_the_pace_of_its_option() -> None:
+    circle = NOTICE + 0.6 * 4
+    for speed in (0.4, 0.8):
+        _, track = settle(scene(square(0, 0), [(circle, 0.0)]), 40, lone_speed=speed)
+        angle = [math.atan2(*reversed(at[0].tolist())) for at in track]
+        # 0.5 s a step: 0.2 and 0.4 m along a circle of 24 m
+        turns = [after - before for before, after in pairwise(angle)]
+        assert turns == pytest.approx([0.5 * speed / circle] * 40, rel=0.01)
 
 
 def test_an_arc_that_opens_after_it_is_a_ring_is_refused() -> None:
