@@ -84,22 +84,47 @@ lint: setup  # ruff, import-linter, mypy, codespell
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/lint-imports --no-cache && \
 	  $(BIN)/mypy && $(BIN)/codespell
 
-# A policy of your own: bags of the teacher, cloning, DAgger, evaluation. Training that was
-# interrupted begins again; bags and rows that are there stay.
+# The policy `general` from nothing: PPO from scratch learns to drive; DAgger teaches two modes, to
+# drive as that policy and to hold as drover; PPO makes it faster; DAgger again, with more small
+# teams and noise. A training that was interrupted goes on, and rows that are there stay.
 TRAINED ?= out/train
-EPISODES ?= 60
-EPOCHS ?= 4
-ROUNDS ?= 40
-RING := --policy.observation.layout ring --policy.network.padding circular
+SAMPLES ?= 5000000
+ROUNDS ?= 90
+FINE_SAMPLES ?= 400000
+LAST_ROUNDS ?= 24
+DRIVES := $(TRAINED)/drives/best.safetensors
+HOLDS := $(TRAINED)/holds/best.safetensors
+FAST := $(TRAINED)/fast/best.safetensors
+SMALL := --policy.observation.layout ring --policy.network.padding circular \
+  --policy.network.filters-1 16 --policy.network.filters-2 32 --policy.network.hidden 128
+WORLDS := --sheep-min 10 --repulsion-min 0.5 --repulsion-max 4 --noise-max 2 \
+  --noise-free-share 0.4 --home-distance-max 9
+JUDGED := --eval-steps 500 --return-weight 0 --goal-weight 2 --path-weight 0.2
 
-train: setup
-	$(BIN)/shepherd record --controller drover --training --steps 400 --episodes $(EPISODES) \
-	  --workers 2 --out $(TRAINED)/bags
-	$(BIN)/shepherd train bc $(TRAINED)/bags $(RING) --epochs $(EPOCHS) --out $(TRAINED)/bc
-	$(BIN)/shepherd train dagger --pretrained $(TRAINED)/bc/best.safetensors --rounds $(ROUNDS) \
-	  --out $(TRAINED)/dagger
+train: setup  # the policy `general` from nothing: two hours on one core; out/train/
+	$(BIN)/shepherd train ppo $(SMALL) --actor-learning-rate 2.5e-4 --critic-learning-rate 6e-4 \
+	  --samples $(SAMPLES) --goal-radius-max 6 --home-share 0.35 --seed 2 --out $(TRAINED)/drives
+	$(BIN)/shepherd train dagger --pretrained $(DRIVES) --policy.decision-interval 0.5 \
+	  --policy.network.modes 2 --policy.sample-std 0.08 --teacher composite:policy:$(DRIVES),drover \
+	  --rounds $(ROUNDS) --teacher-rounds 4 $(WORLDS) --sheep-max 200 --team-exponent 1 \
+	  --example-team-exponent 1 --home-share 0.2 --episode-steps 260 --clip-speed 1 \
+	  --buffer-size 120000 --eval-episodes 36 --eval-steps 500 --eval-noise 1.5 \
+	  --out $(TRAINED)/holds
+	$(BIN)/shepherd train ppo --pretrained $(HOLDS) --new-critic --critic-warmup 8 \
+	  --critic-input state --learn-share 0.5 --update-epochs 2 --policy.network.min-std 0.1 \
+	  --policy.network.max-std 0.12 --actor-learning-rate 5e-5 $(WORLDS) --sheep-max 200 \
+	  --team-exponent 1 --home-share 0.35 --episode-steps 260 --effort 0.002 --effort-from home \
+	  --teacher composite:idle,drover --label-weight 5 --groups 8 --worlds 12 \
+	  --samples $(FINE_SAMPLES) --eval-freq 25 --eval-episodes 36 --eval-noise 1.5 \
+	  --eval-sheep 100,200 --eval-shepherds 1,3,6 $(JUDGED) --time-weight 2 --out $(TRAINED)/fast
+	$(BIN)/shepherd train dagger --pretrained $(FAST) --teacher composite:policy:$(FAST),drover \
+	  --rounds $(LAST_ROUNDS) --teacher-rounds 1 --example-interval 2 --learning-rate 2e-4 \
+	  $(WORLDS) --sheep-max 250 --team-exponent 1.5 --example-team-exponent 0.5 --home-share 0.4 \
+	  --episode-steps 320 --clip-speed 1 --buffer-size 120000 --eval-freq 4 --eval-episodes 24 \
+	  --eval-noise 1.7 --eval-sheep 100 --eval-shepherds 1,3 --eval-sample-std 0.08 $(JUDGED) \
+	  --time-weight 1 --out $(TRAINED)/general
 	$(BIN)/shepherd evaluate table --sheep 100 --shepherds 1 3 6 --episodes 32 --workers 2 \
-	  --controllers drover policy:$(TRAINED)/dagger/best.safetensors --out $(TRAINED)/rows
+	  --controllers policy:$(TRAINED)/general/best.safetensors pierson strombom --out $(TRAINED)/rows
 
 # What the paper shows, with intervals and a verdict on each of its statements, in out/paper/:
 # in PRESET, or several, the first one drawn. An interrupted run goes on where it was. Seeds from

@@ -76,11 +76,11 @@ def test_a_composite_of_a_stack_has_its_parts_as_parameters() -> None:
 
 def test_the_stack_has_a_lidar_for_each_shepherd_and_distinct_names() -> None:
     (learned,) = [p for p in herding_stack('policy', 2) if p.name == 'policy']
-    assert learned.parameters == {'checkpoint': 'imitation'}  # its default is all shepherds
+    assert learned.parameters == {'checkpoint': 'general'}  # its default is all shepherds
     of_reynolds = controller_process('policy', {'flock': 'reynolds'})
     assert of_reynolds.parameters['checkpoint'] == 'reynolds'
     assert controller_process('policy:general', {}).parameters['checkpoint'] == 'general'
-    assert FlockConfig.checkpoint == 'imitation'  # of a new model
+    assert FlockConfig.checkpoint == 'general'  # of a new model
     assert {m.config.checkpoint for m in FLOCK_MODELS.values()} <= set(shipped_checkpoints())
     stack = herding_stack('pierson', 5, n_sheep=7, wait_for_scans=True)
     assert [p.executable for p in stack].count('lidar') == 5

@@ -175,6 +175,7 @@ class Evaluate(ManySettings):
     def write_tables(self, chosen: list[Experiment]) -> None:
         """Write a table of each experiment beside the rows, once all are there; say where."""
         from shepherd_ros.experiments.campaign import done_of
+        from shepherd_ros.experiments.criteria import criteria_page
         from shepherd_ros.experiments.results import results_in
         from shepherd_ros.experiments.samples import samples_of
         from shepherd_ros.experiments.table import markdown
@@ -189,7 +190,8 @@ class Evaluate(ManySettings):
             samples = samples_of(rows, experiment)
             if samples is not None:
                 path = self.out / f'{experiment.name}.md'
-                path.write_text(markdown(samples), encoding='utf-8')
+                page = criteria_page if experiment.name == 'cells' else markdown
+                path.write_text(page(samples), encoding='utf-8')
                 print(path, *samples.notes, sep='\n')
 
 

@@ -73,6 +73,7 @@ class Figures:
             maps = self._maps(rows)
         judged = [judge(name, primary[name], s, curves, maps) for name, s in samples.items()]
         drawn = dict(next(iter(samples.values()), {})) | beyond
+        drawn.pop('cells', None)  # a table says more
         pictures = self._pictures(drawn, judged)
         if curves:
             from shepherd_ros.paper.figures import draw_curves
@@ -153,6 +154,7 @@ class Figures:
         rows: Results,
     ) -> None:
         """Write the pages, verdicts.json, summary.csv and table.md."""
+        from shepherd_ros.experiments.criteria import criteria_page
         from shepherd_ros.experiments.table import CSV_HEADER, csv_rows, grids
         from shepherd_ros.paper.figure_pages import beyond_page, figure_page, read_causes
         from shepherd_ros.paper.judging import counts_as_json
@@ -165,6 +167,9 @@ class Figures:
         pages['verdicts.json'] = counts_as_json(judged)
         of_all = [s for each in judged for s in each.samples.values()] + list(beyond.values())
         pages['summary.csv'] = CSV_HEADER + ''.join(map(csv_rows, of_all))
+        if 'cells' in beyond:
+            cause = causes.get('beyond', {}).get('cells', '')
+            pages['cells.md'] = criteria_page(beyond['cells'], cause)
         if beyond:
             pages['beyond.md'] = beyond_page(beyond, pictures, causes)
         if 'table' in beyond:

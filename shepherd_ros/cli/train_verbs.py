@@ -241,6 +241,11 @@ def show(line: dict[str, Any]) -> None:
     watched = [name for name in ('reward', 'loss', 'kl', 'std') if name in line]
     parts += [f'{name} {line[name]:.4f}' for name in watched]
     parts += [
+        f'{name} {line["eval/" + name]:.3f}'
+        for name in ('held_out_error', 'gate_accuracy')
+        if 'eval/' + name in line
+    ]
+    parts += [
         f'{name} {line["eval/" + name]:.2f}'
         for name in ('return', *progress_names())
         if 'eval/' + name in line

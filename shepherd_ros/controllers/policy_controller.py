@@ -8,7 +8,7 @@ from typing import Any
 from shepherd_ros.config import Config, ConfigError, option
 from shepherd_ros.controllers.controller import Controller, CONTROLLERS, Memory
 from shepherd_ros.policy import inference
-from shepherd_ros.policy.policy import Policy
+from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.lidar import scan
 from shepherd_ros.sim.rng import normal, Stream
 from shepherd_ros.sim.state import WorldState
@@ -21,29 +21,30 @@ from torch import Tensor
 class LearnedConfig(Config):
     """Options of the learned controller."""
 
-    checkpoint: str = option('imitation', 'checkpoint: a file, or the name of one that is shipped')
-    sample: bool = option(False, 'draw actions from the policy; false: its mean')
+    checkpoint: str = option('general', 'checkpoint: a file, or the name of one that is shipped')
+    sample: bool = option(False, 'draw actions with the spread that the policy learned')
     sample_std: float = option(
-        0.0,
-        'standard deviation about the mean with which actions are drawn [m/s]; 0: as sample '
-        'says. Draws follow from the seed of the episode',
-        low=0.0,
+        -1.0,
+        'standard deviation about the mean with which actions are drawn [m/s]; 0: the mean; '
+        'negative: as the checkpoint says. Draws follow from the seed of the episode',
+        low=-1.0,
         high=10.0,
     )
 
     def __post_init__(self) -> None:
         """Check each field, and that there is one spread."""
         super().__post_init__()
-        if self.sample and self.sample_std:
+        if self.sample and self.sample_std >= 0:
             raise ConfigError(
-                f'sample_std is {self.sample_std} m/s: expected 0 with sample, which draws with '
+                f'sample_std is {self.sample_std} m/s: expected -1 with sample, which draws with '
                 'the spread of the policy'
             )
 
-    @property
-    def draws(self) -> bool:
-        """Return whether actions are drawn."""
-        return self.sample or self.sample_std > 0
+    def std_of(self, policy: PolicyConfig) -> float | None:
+        """Return the spread of the actions of a policy [m/s], 0: its own; None: the mean acts."""
+        if self.sample:
+            return 0.0
+        return (policy.sample_std if self.sample_std < 0 else self.sample_std) or None
 
 
 @CONTROLLERS.add
@@ -74,13 +75,14 @@ class LearnedController(Controller):
         self.policy = policy
         self.dtype = dtype
         self.timing = self.policy.config.timing(world.dt)
+        self.std = config.std_of(self.policy.config)
 
     @classmethod
     def options_of(cls, text: str) -> dict[str, Any]:
         """
         Return the options of CHECKPOINT or CHECKPOINT@STD, such as general@0.08.
 
-        STD is sample_std [m/s]; without a checkpoint, the default one counts.
+        STD is sample_std [m/s], 0 the mean; without a checkpoint, the default one counts.
         """
         checkpoint, _, number = text.rpartition('@')
         try:
@@ -112,8 +114,8 @@ class LearnedController(Controller):
             state.shepherd_mask,
             memory,
             self.world.shepherd_speed,
-            draws if self.config.draws else None,
-            std=self.config.sample_std,
+            None if self.std is None else draws,
+            std=self.std or 0.0,
         )
 
 

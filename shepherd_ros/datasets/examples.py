@@ -38,6 +38,7 @@ class EpisodeExamples:
     lidar: Tensor  # (n, C, R) m, +inf on free rays
     rows: Tensor  # (m, K) int64: the frames of each example, oldest first
     wanted: Tensor  # (m, 2) m/s, world frame
+    chosen: Tensor  # (m,) int64: the step of each among the steps of the episode
 
     def __len__(self) -> int:
         """Return the number of examples."""
@@ -114,13 +115,15 @@ def stream_steps(
     seed: int | None = None,
     labels: str = '',
     drivers: Collection[str] = (),
+    chosen: Callable[[int], bool] = lambda index: True,
 ) -> Iterator[tuple[Source, Steps]]:
     """
     Yield the complete steps of each episode and their source; raises ConfigError.
 
-    One episode is in memory at a time; with a seed, bags come in random order.
+    One episode is in memory at a time; with a seed, bags come in random order. chosen(index) says
+    which bags are read, by their place in the order of their names.
     """
-    shuffled = sources(places, labels, drivers)
+    shuffled = [s for k, s in enumerate(sources(places, labels, drivers)) if chosen(k)]
     if seed is not None:
         random.Random(seed).shuffle(shuffled)
     for source in shuffled:
@@ -165,6 +168,7 @@ def examples_of(
         torch.from_numpy(steps.lidar),
         torch.from_numpy(rows[complete]),
         torch.from_numpy(steps.action[complete]),
+        torch.from_numpy(np.flatnonzero(complete)),
     )
 
 

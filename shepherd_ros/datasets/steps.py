@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from shepherd_ros.config import ConfigError
-from shepherd_ros.recordings.episodes import RecordedEpisode
+from shepherd_ros.recordings.episodes import Frame, RecordedEpisode
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS, ScanLayout
 from shepherd_ros.wire.decode import Floats, Ranges
 
@@ -40,6 +40,9 @@ class Steps:
     driver: NDArray[np.str_] = field(  # (n,) source of the action; (0,) if not recorded
         default_factory=lambda: np.zeros(0, np.str_)
     )
+    home_distance: NDArray[np.float32] = field(  # (n,) from flock to goal [goal radii],
+        default_factory=lambda: np.zeros(0, np.float32)  # (0,) without poses, as in a data set
+    )
 
     def __len__(self) -> int:
         """Return the number of steps."""
@@ -54,7 +57,8 @@ class Steps:
     def with_context(self, drivers: Collection[str]) -> Steps:
         """Return all steps of each shepherd that has a step with one of these drivers."""
         chosen = np.isin(self.shepherd, self.shepherd[self.driven_by(drivers)])
-        names = ('step', 'shepherd', 'lidar', 'action', *(['driver'] if len(self.driver) else []))
+        names = ['step', 'shepherd', 'lidar', 'action']
+        names += [name for name in ('driver', 'home_distance') if len(getattr(self, name))]
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     @property
@@ -81,6 +85,7 @@ def steps_of(episode: RecordedEpisode, bag: str, number: int, refuse: Refuse) ->
     steps: list[tuple[int, int, Ranges, NDArray[np.float32]]] = []
     has_drivers = any(frame.drivers for frame in episode.frames)
     drivers: list[str] = []
+    distances: list[float] = []
     for frame in episode.frames[:-1]:
         for h in range(team):
             scan, command = frame.scans[h], _single(frame.commands[h])
@@ -94,6 +99,7 @@ def steps_of(episode: RecordedEpisode, bag: str, number: int, refuse: Refuse) ->
                     f'expected {steps[0][2].shape[-1]} as before; record one lidar at a time'
                 )
             steps.append((frame.step, h, scan, command))
+            distances.append(_home_distance(frame, episode.goal_radius))
             drivers.append((frame.drivers[h] if len(frame.drivers) > h else None) or '')
     empty = np.zeros((0, len(episode.channels), 0), np.float32)
     return Steps(
@@ -111,7 +117,15 @@ def steps_of(episode: RecordedEpisode, bag: str, number: int, refuse: Refuse) ->
         lidar=np.stack([row[2] for row in steps]).astype(np.float32) if steps else empty,
         action=np.array([row[3] for row in steps], np.float32).reshape(-1, 2),
         driver=np.array(drivers if has_drivers else [], np.str_),
+        home_distance=np.array(distances, np.float32),
     )
+
+
+def _home_distance(frame: Frame, goal_radius: float) -> float:
+    """Return the distance of the flock's middle from the goal [goal radii], NaN without a goal."""
+    if frame.goal is None:
+        return np.nan
+    return float(np.linalg.norm(frame.sheep.mean(axis=0) - frame.goal)) / goal_radius
 
 
 def _range_max(episode: RecordedEpisode, place: str) -> float:

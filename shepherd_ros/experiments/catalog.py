@@ -91,6 +91,17 @@ _TRANSFER = (
     # the presets differ for this flock in their time step only
     *setting_grid(Setting(flock='reynolds'), preset=('default', 'one_second', 'fine_dt')),
 )
+_CELLS = (
+    *setting_grid(shepherds=(1, 2, 3, 4, 6, 8, 12)),
+    *setting_grid(sheep=(10, 20, 50, 200, 400)),
+    *setting_grid(shepherds=(1, 12), sheep=(10, 400)),
+    Setting(shepherds=2, sheep=200),
+    *setting_grid(noise=(0.4, 1.0, 1.4, 2.0)),
+    *setting_grid(repulsion=(0.5, 1.0, 3.0, 4.0)),
+    *setting_grid(set=tuple((f'world.goal_radius={radius}',) for radius in (3, 6, 8))),
+    *setting_grid(set=tuple((f'world.goal_speed={speed}',) for speed in (0.05, 0.1, 0.2))),
+    Setting(preset='third'),
+)
 _LIDAR = (
     Setting(),
     *setting_grid(dropout=(0.1, 0.2, 0.4, 0.6, 0.8)),
@@ -166,6 +177,13 @@ EXPERIMENTS: dict[str, Experiment] = {
             episodes=20,
             noise=(0.0, 0.4, 0.8, 1.2, 1.6, 2.0),
             repulsion=(0.5, 1.0, 2.0, 3.0, 4.0),
+        ),
+        _cases(
+            'cells',
+            'Policy and heuristics, cell by cell',
+            _CELLS,
+            controllers=('policy', *BASELINES),
+            panels=('completion_time', 'shepherd_path_length', 'fraction_in_goal'),
         ),
         _cases('lidar', 'Faults of the lidar', _LIDAR, controllers=('policy',)),
         _cases(

@@ -38,11 +38,12 @@ def split_name(word: str) -> tuple[str, dict[str, Any]]:
 
 
 def full_name(word: str) -> str:
-    """Return a name with its checkpoints: policy is policy:imitation; or raise ConfigError."""
+    """Return a name with its checkpoints: policy is policy:general; or raise ConfigError."""
     kind, options = split_name(word)
     if kind == POLICY:
         learned = LearnedConfig(**options)
-        return f'{POLICY}:{learned.checkpoint}' + f'@{learned.sample_std:g}' * learned.draws
+        spread = f'@{learned.sample_std:g}' if learned.sample_std >= 0 else ''
+        return f'{POLICY}:{learned.checkpoint}{spread}'
     parts = [full_name(part) for part in _parts(kind, options)]
     distances = word.split(',')[len(parts) :]
     return f'{kind}:{",".join([*parts, *distances])}' if parts else kind

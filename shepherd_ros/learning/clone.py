@@ -116,6 +116,14 @@ def running_mean(decay: float) -> Callable[[Weights, Weights, Tensor | int], Non
     return update
 
 
+def cut_to(mean: Tensor, speed: float) -> Tensor:
+    """Return actions (n, 2) that are no longer than a speed [m/s], as they are if it is 0."""
+    if not speed:
+        return mean
+    length = torch.linalg.vector_norm(mean, dim=-1, keepdim=True)
+    return mean * (speed / length.clamp(min=speed))
+
+
 class CloneLearner:
     """
     Fits the actor to examples.
@@ -163,9 +171,7 @@ class CloneLearner:
         out = actor.outputs(self.policy.arrange(examples.frames[chosen], examples.first[chosen]))
         gate, hold = actor.gate(out), examples.hold[chosen]
         mean, _ = actor.action_of(out, None if gate is None else hold)
-        if config.clip_speed:
-            speed = torch.linalg.vector_norm(mean, dim=-1, keepdim=True)
-            mean = mean * (config.clip_speed / speed.clamp(min=config.clip_speed))
+        mean = cut_to(mean, config.clip_speed)
         error = torch.linalg.vector_norm(mean - examples.wanted[chosen], dim=-1)
         bound = config.huber_delta
         loss = torch.where(error < bound, error.square(), bound * (2 * error - bound))

@@ -19,6 +19,7 @@ from shepherd_ros.learning.group import WorldGroup
 from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.teachers import make_teacher
 from shepherd_ros.learning.training_loop import TrainingLoop
+from shepherd_ros.learning.validation import validate
 from shepherd_ros.policy import inference
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
@@ -170,6 +171,10 @@ class DaggerTrainer:
         samples = (done + 1) * config.clone.updates_per_round * config.clone.batch_size
         self.progress = {'updates': done + 1, 'samples': samples, 'examples': len(self.examples)}
         return {'loss': loss}
+
+    def evaluate(self, policy: Policy) -> dict[str, float]:
+        """Return the results of a policy on fixed starts."""
+        return validate(policy, self.config.task, self.config.evaluation, self.dtype)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of the training."""

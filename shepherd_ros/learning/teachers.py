@@ -13,7 +13,7 @@ from shepherd_ros.sim.world import WorldConfig
 
 
 def make_teacher(word: str, world: WorldConfig) -> Controller:
-    """Return the controller of a name, in which a policy decides at every step."""
+    """Return the controller of a name, in which a policy decides at every step, by its mean."""
     return _never_holding(method_in(EnvConfig(world=world), full_name(word)))
 
 
@@ -23,7 +23,9 @@ def _never_holding(controller: Controller) -> Controller:
         drive, hold = map(_never_holding, (controller.drive, controller.hold))
         return CompositeController(controller.config, controller.world, drive, hold)
     if isinstance(controller, LearnedController):
-        settled = controller.config, controller.world, controller.policy, controller.dtype
+        config = controller.config
+        config = replace(config, sample_std=0.0) if config.sample_std < 0 else config
+        settled = config, controller.world, controller.policy, controller.dtype
         every_step = LearnedController(*settled)
         every_step.timing = replace(controller.timing, asked_decision=controller.world.dt)
         return every_step

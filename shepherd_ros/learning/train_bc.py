@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,16 +12,18 @@ from shepherd_ros.config import Config, ConfigError, option, part
 from shepherd_ros.datasets.dataset_report import Report
 from shepherd_ros.datasets.examples import driver_names, examples_of, OnBag, stream_steps
 from shepherd_ros.datasets.steps import Steps
+from shepherd_ros.learning.bag_modes import holding
 from shepherd_ros.learning.clone import CloneConfig, CloneLearner, Examples
+from shepherd_ros.learning.held_out import Batch, held_out_results, is_held_out
 from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.training_loop import TrainingLoop
-from shepherd_ros.learning.validation import EvaluationConfig
+from shepherd_ros.learning.validation import EvaluationConfig, validate
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.sim.observation import rotate_by_ray
 from shepherd_ros.sim.rng import mixed_seeds
-from torch import Tensor
+import torch
 
 
 @dataclass(frozen=True)
@@ -39,9 +41,39 @@ class BCConfig(Config):
         '', 'sources of mux whose steps are learned, such as keys or keys,joy; empty: all',
         sparse=True,
     )  # fmt: skip
+    home_within: float = option(
+        0.85, 'two modes: the teacher holds with the flock so near the goal [goal radii]', low=0.0,
+        sparse=True,
+    )  # fmt: skip
+    away_beyond: float = option(
+        1.8, 'and drives again with it farther than this [goal radii]', low=0.0, sparse=True
+    )
+    held_out_share: float = option(
+        0.0, 'share of the bags that are not learned from, for held_out_error', low=0.0, high=0.5,
+        sparse=True,
+    )  # fmt: skip
+    simulate: bool = option(
+        True,
+        'evaluate in the simulator; false: the policy with the least held_out_error is kept',
+        sparse=True,
+    )
     evaluation: EvaluationConfig = part(EvaluationConfig)
     task: TaskConfig = part(TaskConfig)
     clone: CloneConfig = part(CloneConfig)
+
+    def __post_init__(self) -> None:
+        """Check each field, the order of the distances, and that something is evaluated."""
+        super().__post_init__()
+        if self.home_within > self.away_beyond:
+            raise ConfigError(
+                f'home_within is {self.home_within}: expected at most away_beyond, '
+                f'{self.away_beyond}'
+            )
+        if not self.simulate and not self.held_out_share:
+            raise ConfigError(
+                'held_out_share is 0.0: expected more without simulate, such as 0.1, as a policy '
+                'is then chosen by bags that it did not learn from'
+            )
 
 
 def require_fit(steps: Steps, config: PolicyConfig) -> None:
@@ -59,23 +91,29 @@ def stream_examples(
     places: Sequence[Path],
     policy: Policy,
     report: Report,
+    config: BCConfig,
     seed: int | None = None,
-    labels: str = '',
-    drivers: Collection[str] = (),
-) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+    chosen: Callable[[int], bool] = lambda index: True,
+) -> Iterator[Batch]:
     """
-    Yield scaled frames (n, K, C, R), first ray (n,) and target (n, 2) m/s, episode by episode.
+    Yield scaled frames (n, K, C, R), first ray (n,), target (n, 2) m/s and hold (n,) bool.
 
-    Arguments are those of stream_steps().
+    They come episode by episode; hold is false for a policy with one mode. Other arguments are
+    those of stream_steps().
     """
-    for _, steps in stream_steps(places, report, seed, labels, drivers):
+    drivers = driver_names(config.drivers)
+    for _, steps in stream_steps(places, report, seed, config.labels, drivers, chosen):
         require_fit(steps, policy.config)
         examples = examples_of(steps, policy.config.observation, report, drivers)
         if examples is not None:
             frames = examples.frames()
             first = policy.first_ray(frames[:, -1])
             target = rotate_by_ray(examples.wanted, -first, frames.shape[-1])
-            yield policy.scale(frames), first, target
+            hold = torch.zeros(len(examples), dtype=torch.bool)
+            if policy.config.network.modes == 2:
+                modes = holding(steps, config.home_within, config.away_beyond)
+                hold = torch.from_numpy(modes)[examples.chosen]
+            yield policy.scale(frames), first, target, hold
 
 
 class BCTrainer:
@@ -84,12 +122,7 @@ class BCTrainer:
     eval_freq = 1
 
     def __init__(self, policy: Policy, places: Sequence[Path], config: BCConfig) -> None:
-        """Start with the first epoch; ConfigError for a policy with two modes."""
-        if policy.config.network.modes > 1:
-            raise ConfigError(
-                f'modes is {policy.config.network.modes}: expected 1 to learn from bags, whose '
-                'commands do not say whether they drive or hold; train dagger teaches both'
-            )
+        """Start with the first epoch."""
         self.policy, self.places, self.config = policy, places, config
         self.dtype = fast_dtype()
         self.examples = Examples(policy, config.buffer_size, self.dtype)
@@ -115,14 +148,11 @@ class BCTrainer:
         self.report = Report(on_bag=self.on_bag)
         self.learner.scale_learning_rate(1 - 0.95 * self.share())
         order = int(mixed_seeds(1, config.seed, progress['updates']))
-        drivers = driver_names(config.drivers)
-        stream = stream_examples(
-            self.places, self.policy, self.report, order, config.labels, drivers
-        )
-        for number, (frames, first, target) in enumerate(stream):
+        stream = self._stream(self.report, held_out=False, seed=order)
+        for number, (frames, first, target, hold) in enumerate(stream):
             if number < self.episodes_read:
                 continue
-            self.examples.add(frames, first, target)
+            self.examples.add(frames, first, target, hold)
             self.batches_due += config.replay_ratio * len(first) / config.clone.batch_size
             while self.batches_due >= 1:
                 self.losses.append(self.learner.train_batch(self.examples))
@@ -141,6 +171,33 @@ class BCTrainer:
         self.episodes_read, self.batches_due, self.losses = 0, 0.0, []
         counts = {name: getattr(self.report, name) for name in ('episodes', 'partial_episodes')}
         return {'loss': loss, **counts}
+
+    def _stream(self, report: Report, held_out: bool, seed: int | None = None) -> Iterator[Batch]:
+        """Yield the examples of the bags that are held out, or of the others."""
+        config = self.config
+        return stream_examples(
+            self.places,
+            self.policy,
+            report,
+            config,
+            seed,
+            lambda index: is_held_out(index, config.held_out_share) == held_out,
+        )
+
+    def evaluate(self, policy: Policy) -> dict[str, float]:
+        """Return the results of a policy on held-out bags, and in the simulator."""
+        config, results = self.config, dict[str, float]()
+        if config.held_out_share:
+            batches = self._stream(Report(), held_out=True)
+            results = held_out_results(policy, batches, config.clone.clip_speed, self.dtype)
+            if not results:
+                raise ConfigError(
+                    f'held_out_share is {config.held_out_share}: expected more, as no step of the '
+                    'bags is held out'
+                )
+        if config.simulate:
+            return results | validate(policy, config.task, config.evaluation, self.dtype)
+        return results | {'score': -results['held_out_error']}
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of the training."""

@@ -20,7 +20,7 @@ from shepherd_ros.learning.ppo_rollout import Rollout
 from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.training_loop import TrainingLoop
-from shepherd_ros.learning.validation import EvaluationConfig
+from shepherd_ros.learning.validation import EvaluationConfig, validate
 from shepherd_ros.policy.network import fast_dtype
 from shepherd_ros.policy.policy import Policy
 from shepherd_ros.sim.rng import mixed_seeds
@@ -108,6 +108,10 @@ class PPOTrainer:
         self.progress['world_steps'] += steps * ranks()
         scalars['rollout_share'] = (collected - started) / (time.monotonic() - started)
         return scalars | {'decision_interval': timing.decision_interval}
+
+    def evaluate(self, policy: Policy) -> dict[str, float]:
+        """Return the results of a policy on fixed starts."""
+        return validate(policy, self.config.task, self.config.evaluation, self.dtype)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of the training."""

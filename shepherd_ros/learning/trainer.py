@@ -27,6 +27,9 @@ class Trainer(Protocol):
     def averaged(self) -> Policy:
         """Return the policy to evaluate and to keep."""
 
+    def evaluate(self, policy: Policy) -> dict[str, float]:
+        """Return the results of a policy; `score` is that by which one is kept."""
+
     def state_dict(self) -> dict[str, Any]:
         """Return the state of the training."""
 

@@ -19,7 +19,6 @@ from shepherd_ros.config import ConfigError
 from shepherd_ros.learning.distributed import rank, total
 from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.trainer import Trainer
-from shepherd_ros.learning.validation import validate
 
 
 class TrainingLoop:
@@ -81,7 +80,7 @@ class TrainingLoop:
             self.saved, config, policy = True, self.trainer.config, self.trainer.averaged()
             if self.signal:
                 self._exit()
-            results = validate(policy, config.task, config.evaluation, self.trainer.dtype)
+            results = self.trainer.evaluate(policy)
             self.saved = False
             line |= self.run.keep_best(policy, results, line)
             if config.evaluation.keep_evaluated:

@@ -61,6 +61,7 @@ class PolicyNode(ShepherdNode):
             low=0.0,
         )
         self.policy = load_policy(self.options.checkpoint)
+        self.std = self.options.std_of(self.policy.config)
         self.timing = self.policy.config.timing(WorldConfig().dt)  # until an episode begins
         self.deviation = ''  # of the last episode
         self.episode: Episode | None = None
@@ -166,9 +167,9 @@ class PolicyNode(ShepherdNode):
             torch.ones_like(has_scan),
             self.memory,
             self.max_speed,
-            draws if self.options.draws else None,
+            None if self.std is None else draws,
             skipped,
-            self.options.sample_std,
+            self.std or 0.0,
         )
         return torch.where(has_scan[:, None], command, 0.0)
 

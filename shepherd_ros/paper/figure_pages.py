@@ -115,6 +115,8 @@ def beyond_page(samples: Mapping[str, Samples], pictures: Sequence[str], causes:
     """Return the page of the sweeps beyond the paper in Markdown."""
     lines = ['# Beyond the paper', '', 'Numbers with intervals: `summary.csv`.', '']
     for name, found in samples.items():
+        if name == 'cells':  # a page of its own
+            continue
         title = found.experiment.title
         lines += [f'## {title}', '', *picture(name, title, pictures)]
         if name in causes.get('beyond', {}):

@@ -34,6 +34,10 @@ class PolicyConfig(Config):
         0.5, 'seconds from one decision to the next, in which an action is held',
         low=0.001, high=MAX_FRAME_INTERVAL,
     )  # fmt: skip
+    sample_std: float = option(
+        0.0, 'acts by samples of this standard deviation about the mean [m/s]; 0: by the mean',
+        low=0.0, high=10.0, sparse=True,
+    )  # fmt: skip
     lidar: LidarConfig = part(LidarConfig)
     observation: ObservationConfig = part(ObservationConfig)
     network: NetworkConfig = part(NetworkConfig)

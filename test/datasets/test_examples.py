@@ -31,7 +31,7 @@ from shepherd_ros.datasets.lerobot_reader import open_dataset
 from shepherd_ros.datasets.lerobot_writer import DatasetWriter, runs
 from shepherd_ros.datasets.running_stats import RunningStats
 from shepherd_ros.datasets.steps import Steps, steps_of
-from shepherd_ros.learning.train_bc import stream_examples
+from shepherd_ros.learning.train_bc import BCConfig, stream_examples
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.recordings.episodes import iter_episodes, RecordedEpisode
@@ -83,7 +83,7 @@ def holes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def read_examples(place: Path, policy: Policy, seed: int | None = None) -> list[Any]:
-    return list(stream_examples([place], policy, Report(), seed))
+    return list(stream_examples([place], policy, Report(), BCConfig(), seed))
 
 
 @pytest.mark.parametrize('seed', [None, 3])

@@ -154,12 +154,13 @@ def run_state() -> object:
 
 def test_a_spread_of_samples_is_part_of_a_policys_name_and_of_its_rows() -> None:
     assert full_name('policy:general@0.080') == 'policy:general@0.08'
-    assert full_name('policy:@0.5') == 'policy:imitation@0.5'
+    assert full_name('policy:@0.5') == 'policy:general@0.5'
+    assert full_name('policy:general@0') == 'policy:general@0'
     assert checkpoint_of('policy:general@0.08') == 'general'
     assert checkpoint_of('policy:a@b/c.safetensors') == 'a@b/c.safetensors'
     assert checkpoint_hash('policy:general@0.08') == checkpoint_hash('policy:general')
-    with pytest.raises(ConfigError, match=r'sample_std is -1\.0'):
-        make_method('policy:general@-1', Setting())
+    with pytest.raises(ConfigError, match=r'sample_std is -2\.0'):
+        make_method('policy:general@-2', Setting())
     mean, drawn = (run_cell(Cell(TINY, f'policy:imitation{x}', 0, 1)) for x in ('', '@0.3'))
     assert drawn['controller'].to_pylist() == ['policy:imitation@0.3']
     stored = json.loads(drawn['config'][0].as_py())['controller']
@@ -396,10 +397,10 @@ def test_a_mistake_is_named_before_anything_runs(
 
 
 def test_names_of_methods_are_whole() -> None:
-    assert full_name('policy') == 'policy:imitation'
+    assert full_name('policy') == 'policy:general'
     assert full_name('drover') == 'drover'
-    assert full_name('composite:policy,drover') == 'composite:policy:imitation,drover'
-    assert full_name('composite:idle,policy,1,2') == 'composite:idle,policy:imitation,1,2'
+    assert full_name('composite:policy,drover') == 'composite:policy:general,drover'
+    assert full_name('composite:idle,policy,1,2') == 'composite:idle,policy:general,1,2'
     for wrong in ('composite:idle,nobody', 'composite:policy:nowhere,idle'):
         with pytest.raises(ConfigError, match=r'nobody|nowhere'):
             full_name(wrong)

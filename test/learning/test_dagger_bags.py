@@ -16,7 +16,7 @@ from shepherd_ros.learning.dagger import LabelledWorlds
 from shepherd_ros.learning.dagger_bags import LABEL_NAMESPACE
 from shepherd_ros.learning.dagger_config import DaggerConfig
 from shepherd_ros.learning.task import TaskConfig
-from shepherd_ros.learning.train_bc import stream_examples
+from shepherd_ros.learning.train_bc import BCConfig, stream_examples
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.recordings.check import check_bag
@@ -52,9 +52,11 @@ def driven(out: Path, worlds: int, steps: int, teacher_drives: bool = False) -> 
 
 def test_bc_finds_in_the_bags_what_dagger_learned_from(tmp_path: Path) -> None:
     policy, examples = driven(tmp_path / 'bags', 1, STEPS)
-    ((frames, first, wanted),) = stream_examples(
-        [tmp_path / 'bags'], policy, Report(), labels=LABEL_NAMESPACE
+    config = BCConfig(labels=LABEL_NAMESPACE)
+    ((frames, first, wanted, hold),) = stream_examples(
+        [tmp_path / 'bags'], policy, Report(), config
     )
+    assert not hold.any()
     count = len(examples)
     assert len(first) == count >= STEPS
     assert torch.equal(frames, examples.frames[:count])
@@ -62,7 +64,7 @@ def test_bc_finds_in_the_bags_what_dagger_learned_from(tmp_path: Path) -> None:
     torch.testing.assert_close(wanted, examples.wanted[:count], atol=1e-6, rtol=0)
     built = tmp_path / 'built'
     build_dataset([tmp_path / 'bags'], built, POLICY.observation, LABEL_NAMESPACE)
-    ((_, _, again),) = stream_examples([built], policy, Report(), labels=LABEL_NAMESPACE)
+    ((_, _, again, _),) = stream_examples([built], policy, Report(), config)
     assert torch.equal(wanted, again)
 
 

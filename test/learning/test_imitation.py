@@ -20,7 +20,7 @@ from shepherd_ros.learning.clone import CloneConfig, CloneLearner, Examples
 from shepherd_ros.learning.dagger import LabelledWorlds
 from shepherd_ros.learning.dagger_config import DaggerConfig
 from shepherd_ros.learning.task import TaskConfig
-from shepherd_ros.learning.train_bc import require_fit, stream_examples
+from shepherd_ros.learning.train_bc import BCConfig, require_fit, stream_examples
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.recordings.episodes import iter_episodes, RecordedEpisode
@@ -143,7 +143,7 @@ def test_bags_that_do_not_fit_the_policy_are_refused(bags: Path, tmp_path: Path)
         with pytest.raises(ConfigError, match=output):
             require_fit(steps_of(replace(episode, frames=frames), 'bag', 0, report.refuse), CONFIG)
     with pytest.raises(ConfigError, match='scans have 512 rays, expected 256'):
-        list(stream_examples([bags], policy_of(few), Report()))
+        list(stream_examples([bags], policy_of(few), Report(), BCConfig()))
     with pytest.raises(ConfigError, match='expected a bag, a folder of bags'):
         bag_folders(tmp_path)
 
@@ -153,8 +153,8 @@ def test_bags_come_in_an_order_of_the_seed_and_all_of_them(bags: Path) -> None:
     orders = set()
     for seed in range(8):
         report = Report()
-        rows = stream_examples([bags], policy_of(), report, seed)
-        sums = [float(wanted.sum()) for _, _, wanted in rows]
+        rows = stream_examples([bags], policy_of(), report, BCConfig(), seed)
+        sums = [float(wanted.sum()) for _, _, wanted, _ in rows]
         assert (report.bags, report.episodes) == (2, 2)
         orders.add(tuple(sums))
     assert len(orders) == 2
@@ -162,7 +162,7 @@ def test_bags_come_in_an_order_of_the_seed_and_all_of_them(bags: Path) -> None:
 
 def test_wanted_actions_are_relative_to_the_ray_in_front(bags: Path) -> None:
     result = examples_in(episode_of(bags), Report())
-    (_, first, wanted), _ = stream_examples([bags], policy_of(), Report())
+    (_, first, wanted, _), _ = stream_examples([bags], policy_of(), Report(), BCConfig())
     assert (first != 0).any()
     torch.testing.assert_close(rotate_by_ray(wanted, first, 512), result.wanted, atol=1e-5, rtol=0)
 
@@ -236,7 +236,7 @@ def test_a_cloned_policy_learns_one_episode_by_heart(bags: Path) -> None:
         CloneConfig(learning_rate=3e-3, batch_size=24, updates_per_round=150, recent_examples=24),
         0,
     )
-    for row in stream_examples([bags / 'episode_000005'], policy, Report()):
+    for row in stream_examples([bags / 'episode_000005'], policy, Report(), BCConfig()):
         examples.add(*row)
     spread = float(examples.wanted[: len(examples)].var(dim=0).sum())
     cloner.learn(examples)

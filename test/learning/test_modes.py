@@ -6,26 +6,34 @@ from dataclasses import replace
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.controllers.composite import HOME
 from shepherd_ros.controllers.policy_controller import LearnedConfig, LearnedController
+from shepherd_ros.datasets.dataset_report import Report
+from shepherd_ros.datasets.steps import Steps
+from shepherd_ros.learning.bag_modes import holding
 from shepherd_ros.learning.clone import CloneConfig, CloneLearner, Examples
 from shepherd_ros.learning.dagger import LabelledWorlds
 from shepherd_ros.learning.dagger_config import DaggerConfig
+from shepherd_ros.learning.held_out import held_out_results, is_held_out
 from shepherd_ros.learning.ppo import PPOConfig, PPOLearner
 from shepherd_ros.learning.ppo_rollout import log_prob, Rollout
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.teachers import make_teacher
-from shepherd_ros.learning.train_bc import BCConfig, BCTrainer
+from shepherd_ros.learning.train_bc import BCConfig, stream_examples
 from shepherd_ros.policy.checkpoint import load_policy, save_policy
 from shepherd_ros.policy.network import Actor, NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.policy.torchscript import export_actor
 from shepherd_ros.policy.warm_start import warm_start
+from shepherd_ros.recordings.record import record_episodes
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import ObservationConfig, rotate_by_ray
+from shepherd_ros.sim.presets import home_world
+from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.spawn import spawn
 from shepherd_ros.sim.transition import step
 from shepherd_ros.sim.world import WorldConfig
@@ -182,9 +190,58 @@ def test_two_modes_ask_for_a_composite_teacher() -> None:
         LabelledWorlds(config, policy_of(), 0, torch.float32)
 
 
-def test_bags_do_not_teach_two_modes() -> None:
-    with pytest.raises(ConfigError, match='modes is 2: expected 1 to learn from bags'):
-        BCTrainer(policy_of(), [], BCConfig())
+def steps_at(*distances: float) -> Steps:
+    """Return steps of two shepherds with the flock so far from the goal [goal radii]."""
+    count = 2 * len(distances)
+    return Steps(
+        bag='bag', episode=0, seed=0, n_sheep=1, n_shepherds=2, dt=0.5,
+        step=np.repeat(np.arange(len(distances)), 2), shepherd=np.tile([0, 1], len(distances)),
+        lidar=np.zeros((count, 3, 96), np.float32), action=np.zeros((count, 2), np.float32),
+        home_distance=np.repeat(np.array(distances, np.float32), 2),
+    )  # fmt: skip
+
+
+def test_recorded_steps_hold_as_a_composite_does() -> None:
+    # home at 0.75, no longer beyond 2, and not again before 0.75
+    steps = steps_at(3.0, 1.5, 0.75, 1.5, 2.0, 2.1, 1.5, 0.7, np.nan)
+    expected = [False, False, True, True, True, False, False, True, False]
+    assert holding(steps, 0.75, 2.0).tolist() == [hold for hold in expected for _ in range(2)]
+    for unknown in (steps_at(np.nan), replace(steps, home_distance=np.zeros(0, np.float32))):
+        with pytest.raises(ConfigError, match='bag:0: the distance of the flock from the goal is'):
+            holding(unknown, 0.75, 2.0)
+
+
+def test_cloning_learns_the_modes_of_a_composite_from_its_bags(tmp_path: Path) -> None:
+    bags, policy = tmp_path / 'bags', policy_of()
+    world = home_world(WorldConfig(n_sheep=5, n_shepherds=2, episode_steps=6))
+    teacher = make_teacher('composite:idle,drover,0.5,0.9', world)
+    record_episodes(EnvConfig(world=world, lidar=CONFIG.lidar), teacher, range(4), bags)
+    config = BCConfig(home_within=0.5, away_beyond=0.9)
+    ((_, _, wanted, hold), *others) = stream_examples([bags], policy, Report(), config)
+    rows = [(wanted, hold), *((w, h) for _, _, w, h in others)]
+    # idle drives and stands, drover holds and moves
+    for wanted, hold in rows:
+        assert torch.equal(wanted.norm(dim=-1) > 1e-6, hold)
+    assert any(hold.any() for _, hold in rows)
+    assert not all(hold.all() for _, hold in rows)
+
+
+def test_held_out_bags_judge_a_clone_by_hand() -> None:
+    policy = policy_of()
+    frames = policy.scale(torch.full((4, 3, 3, 96), 9.0))
+    first = torch.zeros(4, dtype=torch.int64)
+    with torch.no_grad():
+        out = policy.actor.outputs(policy.arrange(frames, first))
+        mean, chosen = policy.actor.action_of(out)[0], policy.actor.hold(out)
+    target = mean + torch.tensor([0.3, 0.4])  # 0.5 m/s off
+    right = torch.tensor([True, True, True, False])
+    batch = (frames, first, target, chosen == right)
+    results = held_out_results(policy, [batch, batch], 0.0, torch.float32)
+    assert results == pytest.approx({'held_out_error': 0.5, 'gate_accuracy': 0.75})
+    assert held_out_results(policy, [], 0.0, torch.float32) == {}
+    assert [k for k in range(10) if is_held_out(k, 0.2)] == [4, 9]
+    with pytest.raises(ConfigError, match='expected more without simulate'):
+        BCConfig(simulate=False)
 
 
 def test_a_policy_that_teaches_decides_at_every_step(tmp_path: Path) -> None:

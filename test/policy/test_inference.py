@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 import math
 
@@ -145,8 +146,26 @@ def test_samples_of_a_given_spread_are_that_far_from_the_mean_and_the_same_again
     for std in (0.08, 0.5):
         torch.testing.assert_close(act(std), mean + std * offset)
         assert torch.equal(act(std), act(std))
-    with pytest.raises(ConfigError, match=r'sample_std is 0.1 m/s: expected 0 with sample'):
+    with pytest.raises(ConfigError, match=r'sample_std is 0.1 m/s: expected -1 with sample'):
         LearnedConfig(sample=True, sample_std=0.1)
+
+
+def test_the_spread_is_that_of_the_checkpoint_unless_another_is_given() -> None:
+    world = WorldConfig(shepherd_speed=9.0)  # nothing is cut
+    state = make_state(3, 10, 3, dtype=torch.float32)
+    policy = policy_of()
+    drawing = policy.with_config(replace(policy.config, sample_std=0.2))
+
+    def act(policy: Policy, **options: float) -> Tensor:
+        controller = LearnedController(LearnedConfig(**options), world, policy)
+        return controller.act(state, controller.begin(state))[0]
+
+    mean, offset = act(policy), sample_noise(state.seed, state.step, 3)
+    assert torch.equal(act(policy, sample_std=0.0), mean)
+    torch.testing.assert_close(act(drawing), mean + 0.2 * offset)
+    torch.testing.assert_close(act(drawing, sample_std=0.5), mean + 0.5 * offset)
+    assert torch.equal(act(drawing, sample_std=0.0), mean)
+    assert torch.equal(act(drawing, sample=True), act(policy, sample=True))
 
 
 def test_sampled_actions_are_a_function_of_seed_and_step() -> None:

@@ -17,7 +17,7 @@ class FlockConfig(Config):
     """Configuration of any flock: speed, and properties for controllers and experiments."""
 
     restless: ClassVar[bool] = False  # whether sheep move while no shepherd is near
-    checkpoint: ClassVar[str] = 'imitation'  # the shipped one that was trained for it
+    checkpoint: ClassVar[str] = 'general'  # the shipped one that was trained for it
     repulsion_option: ClassVar[str] = ''  # rho_a, which experiments sweep; empty: it has none
 
     speed: float = option(1 / 3, 'speed of a moving sheep, delta_a [m/s], Table 1', low=0.0)
