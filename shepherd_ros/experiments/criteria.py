@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,7 +68,7 @@ class Comparison:
 
 
 def compare(
-    setting: Setting, policy: str, own: Mapping[str, Array], others: list[Mapping[str, Array]]
+    setting: Setting, policy: str, own: Mapping[str, Array], others: Sequence[Mapping[str, Array]]
 ) -> Comparison:
     """Return the comparison of a policy's episodes, (E,) a metric, with those of heuristics."""
 
