@@ -167,7 +167,7 @@ class Figures:
         pages['verdicts.json'] = counts_as_json(judged)
         of_all = [s for each in judged for s in each.samples.values()] + list(beyond.values())
         pages['summary.csv'] = CSV_HEADER + ''.join(map(csv_rows, of_all))
-        if 'cells' in beyond:
+        if 'cells' in beyond and beyond['cells'].policies:
             cause = causes.get('beyond', {}).get('cells', '')
             pages['cells.md'] = criteria_page(beyond['cells'], cause)
         if beyond:

@@ -52,11 +52,10 @@ class BCConfig(Config):
         0.0, 'share of the bags that are not learned from, for held_out_error', low=0.0, high=0.5,
         sparse=True,
     )  # fmt: skip
-    simulate: bool = option(
-        True,
-        'evaluate in the simulator; false: the policy with the least held_out_error is kept',
+    offline: bool = option(
+        False, 'keep the policy with the least held_out_error, and never use the simulator',
         sparse=True,
-    )
+    )  # fmt: skip
     evaluation: EvaluationConfig = part(EvaluationConfig)
     task: TaskConfig = part(TaskConfig)
     clone: CloneConfig = part(CloneConfig)
@@ -69,9 +68,9 @@ class BCConfig(Config):
                 f'home_within is {self.home_within}: expected at most away_beyond, '
                 f'{self.away_beyond}'
             )
-        if not self.simulate and not self.held_out_share:
+        if self.offline and not self.held_out_share:
             raise ConfigError(
-                'held_out_share is 0.0: expected more without simulate, such as 0.1, as a policy '
+                'held_out_share is 0.0: expected more with offline, such as 0.1, as a policy '
                 'is then chosen by bags that it did not learn from'
             )
 
@@ -195,9 +194,9 @@ class BCTrainer:
                     f'held_out_share is {config.held_out_share}: expected more, as no step of the '
                     'bags is held out'
                 )
-        if config.simulate:
-            return results | validate(policy, config.task, config.evaluation, self.dtype)
-        return results | {'score': -results['held_out_error']}
+        if config.offline:
+            return results | {'score': -results['held_out_error']}
+        return results | validate(policy, config.task, config.evaluation, self.dtype)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of the training."""

@@ -240,8 +240,8 @@ def test_held_out_bags_judge_a_clone_by_hand() -> None:
     assert results == pytest.approx({'held_out_error': 0.5, 'gate_accuracy': 0.75})
     assert held_out_results(policy, [], 0.0, torch.float32) == {}
     assert [k for k in range(10) if is_held_out(k, 0.2)] == [4, 9]
-    with pytest.raises(ConfigError, match='expected more without simulate'):
-        BCConfig(simulate=False)
+    with pytest.raises(ConfigError, match='expected more with offline'):
+        BCConfig(offline=True)
 
 
 def test_a_policy_that_teaches_decides_at_every_step(tmp_path: Path) -> None:
