@@ -242,12 +242,7 @@ def show(line: dict[str, Any]) -> None:
     parts += [f'{name} {line[name]:.4f}' for name in watched]
     parts += [
         f'{name} {line["eval/" + name]:.3f}'
-        for name in ('held_out_error', 'gate_accuracy')
-        if 'eval/' + name in line
-    ]
-    parts += [
-        f'{name} {line["eval/" + name]:.2f}'
-        for name in ('return', *progress_names())
+        for name in ('held_out_error', 'gate_accuracy', 'return', *progress_names())
         if 'eval/' + name in line
     ]
     parts.append(f'{left} left')

@@ -5,6 +5,7 @@ __all__ = [
     'campaign',
     'catalog',
     'cells',
+    'criteria',
     'methods',
     'results',
     'runner',

@@ -20,7 +20,7 @@ METRICS_USED = (
     'completion_time', 'shepherd_path_length', 'flock_spread', 'fraction_reached',
     'fraction_in_goal', 'completed',
 )  # fmt: skip
-RULE = f"""
+CRITERIA = f"""
 A policy meets a criterion in a cell if its mean does. Both heuristics have the same starts.
 
 | criterion | met if |
@@ -34,7 +34,7 @@ A policy meets a criterion in a cell if its mean does. Both heuristics have the 
 
 
 @dataclass(frozen=True)
-class Comparison:
+class CellComparison:
     """A policy in a cell: its means, and those of the heuristic that is better in each."""
 
     setting: Setting
@@ -69,7 +69,7 @@ class Comparison:
 
 def compare(
     setting: Setting, policy: str, own: Mapping[str, Array], others: Sequence[Mapping[str, Array]]
-) -> Comparison:
+) -> CellComparison:
     """Return the comparison of a policy's episodes, (E,) a metric, with those of heuristics."""
 
     def least(name: str) -> float:
@@ -78,7 +78,7 @@ def compare(
     faster = min(others, key=lambda other: float(other['completion_time'].mean()))
     mean, low, high = mean_interval(own['completion_time'] - faster['completion_time'])
     means = {name: float(values.mean()) for name, values in own.items()}
-    return Comparison(
+    return CellComparison(
         setting,
         policy,
         time=means['completion_time'],
@@ -94,7 +94,7 @@ def compare(
     )
 
 
-def comparisons(samples: Samples) -> Iterator[Comparison]:
+def comparisons(samples: Samples) -> Iterator[CellComparison]:
     """Yield each policy in each setting in which both heuristics have the same episodes."""
     for policy in samples.policies:
         for place, setting in enumerate(samples.settings):
@@ -115,7 +115,7 @@ def criteria_page(samples: Samples, cause: str = '') -> str:
         f'# {samples.experiment.title}\n',
         f'{len(samples.seeds)} starts of each cell, {samples.steps} steps; '
         'Strömbom flock, three shepherds and a hundred sheep unless a row says otherwise.',
-        RULE,
+        CRITERIA,
     ]
     found = list(comparisons(samples))
     for policy in dict.fromkeys(each.policy for each in found):
@@ -128,7 +128,7 @@ def criteria_page(samples: Samples, cause: str = '') -> str:
     return '\n'.join([*parts, *([cause + '\n'] if cause else [])])
 
 
-def _table(found: list[Comparison]) -> str:
+def _table(found: list[CellComparison]) -> str:
     """Return a table with a row for each cell."""
     lines = [
         '| cell | time | less the faster heuristic | path (limit) | spread (limit) | reached '

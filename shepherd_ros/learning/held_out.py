@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 BATCH_SIZE = 512
-Batch = tuple[Tensor, Tensor, Tensor, Tensor]  # frames, first ray, target, hold
+ExampleBatch = tuple[Tensor, Tensor, Tensor, Tensor]  # frames, first ray, target, hold
 
 
 def is_held_out(index: int, share: float) -> bool:
@@ -20,7 +20,7 @@ def is_held_out(index: int, share: float) -> bool:
 
 @torch.no_grad()
 def held_out_results(
-    policy: Policy, batches: Iterable[Batch], clip_speed: float, dtype: torch.dtype
+    policy: Policy, batches: Iterable[ExampleBatch], clip_speed: float, dtype: torch.dtype
 ) -> dict[str, float]:
     """
     Return the mean error of the action [m/s], cut as in training, and what the gate gets right.

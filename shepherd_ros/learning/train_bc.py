@@ -14,7 +14,7 @@ from shepherd_ros.datasets.examples import driver_names, examples_of, OnBag, str
 from shepherd_ros.datasets.steps import Steps
 from shepherd_ros.learning.bag_modes import holding
 from shepherd_ros.learning.clone import CloneConfig, CloneLearner, Examples
-from shepherd_ros.learning.held_out import Batch, held_out_results, is_held_out
+from shepherd_ros.learning.held_out import ExampleBatch, held_out_results, is_held_out
 from shepherd_ros.learning.run_folder import RunFolder
 from shepherd_ros.learning.task import TaskConfig
 from shepherd_ros.learning.training_loop import TrainingLoop
@@ -93,7 +93,7 @@ def stream_examples(
     config: BCConfig,
     seed: int | None = None,
     chosen: Callable[[int], bool] = lambda index: True,
-) -> Iterator[Batch]:
+) -> Iterator[ExampleBatch]:
     """
     Yield scaled frames (n, K, C, R), first ray (n,), target (n, 2) m/s and hold (n,) bool.
 
@@ -171,7 +171,9 @@ class BCTrainer:
         counts = {name: getattr(self.report, name) for name in ('episodes', 'partial_episodes')}
         return {'loss': loss, **counts}
 
-    def _stream(self, report: Report, held_out: bool, seed: int | None = None) -> Iterator[Batch]:
+    def _stream(
+        self, report: Report, held_out: bool, seed: int | None = None
+    ) -> Iterator[ExampleBatch]:
         """Yield the examples of the bags that are held out, or of the others."""
         config = self.config
         return stream_examples(

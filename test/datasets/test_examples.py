@@ -94,7 +94,7 @@ def test_a_built_folder_gives_the_examples_of_its_bags(
     report = build_dataset([bags], tmp_path / 'built', OBSERVATION)
     left, right = (read_examples(place, policy, seed) for place in (bags, tmp_path / 'built'))
     assert len(left) == len(right) == EPISODES_MADE
-    assert sum(len(first) for _, first, _ in left) == report.examples == report.steps
+    assert sum(len(first) for _, first, *_ in left) == report.examples == report.steps
     for one, other in zip(left, right, strict=True):
         for a, b in zip(one, other, strict=True):
             assert torch.equal(a, b)

@@ -110,9 +110,9 @@ def test_rows_with_keys_of_whole_configurations_are_read_as_they_are(stored: Any
     text = json.dumps([json.loads(row['config']), '', row['version']], sort_keys=True)
     assert row['key'] == hashlib.sha256(text.encode()).hexdigest()[:16], 'made by the old rule'
     table = read_results([ROWS]).table
-    assert table.num_rows == raw.num_rows == 60_480
+    assert table.num_rows == raw.num_rows == 53_000
     for rows in (raw, table):  # the same episodes fall together under the new keys
-        assert len(set(rows.column('key').to_pylist())) == 1152
+        assert len(set(rows.column('key').to_pylist())) == 1010
     order = [('config', 'ascending'), ('checkpoint_sha256', 'ascending'), ('seed', 'ascending')]
     left, right = (t.drop_columns(['key']).sort_by(order) for t in (raw, table))
     for name in left.column_names:
