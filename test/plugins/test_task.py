@@ -6,6 +6,9 @@ from pathlib import Path
 
 from cli.test_train_verbs import NETWORK, TINY
 from plugins.verbs import run
+import pytest
+
+pytestmark = pytest.mark.system
 
 TASK = str(Path(__file__).parent / 'fetch.py')
 WORLD = '--task fetch --shepherds 2 --steps 60'
