@@ -150,9 +150,10 @@ class Evaluate(ManySettings):
         from shepherd_ros.experiments.catalog import QUICK_EPISODES
 
         experiment = experiment.with_preset(self.preset).with_changes(self.worlds.set)
+        experiment = experiment.in_tasks(self.worlds.task)
         settings = experiment.quick if self.quick else experiment.settings
         for f in fields(self.worlds):
-            if f.name != 'set':
+            if f.name not in ('set', 'task'):
                 settings = _with_values(settings, f.name, getattr(self.worlds, f.name))
         episodes = QUICK_EPISODES if self.quick else experiment.episodes
         policies = (*self.primary_of(settings), *self.policies)

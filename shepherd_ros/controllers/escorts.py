@@ -42,10 +42,10 @@ class InterceptConfig(EscortConfig):
 
     horizon: float = option(30.0, 'pedestrians that arrive within this time count [s]', low=0.0)
     clearance: float = option(1.2, 'arrive: come so near to the rim of the region [m]', low=0.0)
-    approach: float = option(0.7, 'distance to a pedestrian at which it is met [m]', low=0.0)
+    approach: float = option(0.9, 'distance to a pedestrian at which it is met [m]', low=0.0)
     pace: float = option(0.35, 'speed that a pedestrian is taken to have [m/s]', low=0.0)
     spacing: float = option(
-        1.6, 'largest angle between places without a pedestrian, around the course [rad]', low=0.0
+        2.1, 'largest angle between places without a pedestrian, around the course [rad]', low=0.0
     )
 
 

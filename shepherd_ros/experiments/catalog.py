@@ -51,6 +51,16 @@ class Experiment:
 
         return replace(self, settings=changed(self.settings), quick=changed(self.quick))
 
+    def in_tasks(self, tasks: Sequence[str]) -> Experiment:
+        """Return the experiment in each of some tasks, unchanged without any."""
+
+        def moved(settings: tuple[Setting, ...]) -> tuple[Setting, ...]:
+            return tuple(dict.fromkeys(s.in_task(t, self.axes) for s in settings for t in tasks))
+
+        if not tasks:
+            return self
+        return replace(self, settings=moved(self.settings), quick=moved(self.quick))
+
 
 def setting_grid(base: Setting | None = None, **values: Sequence[Any]) -> tuple[Setting, ...]:
     """Return the settings of a grid, the last field fastest."""

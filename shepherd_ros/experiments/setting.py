@@ -8,6 +8,7 @@ only with an environment.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, TYPE_CHECKING
 
@@ -58,6 +59,16 @@ class Setting(Config):
             sheep, flock = of_task(self.task)
             object.__setattr__(self, 'sheep', sheep if self.sheep == -1 else self.sheep)
             object.__setattr__(self, 'flock', self.flock or flock)
+
+    def in_task(self, task: str, fixed: Sequence[str] = ()) -> Setting:
+        """Return the setting in a task: what this one has of its own task is that of the other."""
+        sheep, flock = of_task(self.task)
+        return replace(
+            self,
+            task=task,
+            sheep=-1 if self.sheep == sheep and 'sheep' not in fixed else self.sheep,
+            flock='' if self.flock == flock and 'flock' not in fixed else self.flock,
+        )
 
     @classmethod
     def blank(cls) -> Setting:

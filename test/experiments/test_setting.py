@@ -127,3 +127,16 @@ def test_record_and_evaluate_take_the_same_options(tmp_path: Path) -> None:
     found = samples_of(rows, few)
     assert found is not None
     assert found.steps == 4
+
+
+def test_an_experiment_in_another_task_has_its_flock_and_sheep() -> None:
+    moved = EXPERIMENTS['fig5'].in_tasks(('protection', 'herding'))
+    assert {(s.task, s.flock, s.sheep) for s in moved.settings} == {
+        ('protection', 'crowd', 40), ('herding', 'strombom', 100)
+    }  # fmt: skip
+    assert len(moved.settings) == 2 * len(EXPERIMENTS['fig5'].settings)
+    of_sizes = EXPERIMENTS['fig4'].in_tasks(('protection',)).settings
+    assert [s.sheep for s in of_sizes] == [s.sheep for s in EXPERIMENTS['fig4'].settings]
+    of_reynolds = EXPERIMENTS['fig8'].in_tasks(('protection',)).settings
+    assert {s.flock for s in of_reynolds} == {'reynolds'}
+    assert EXPERIMENTS['fig4'].in_tasks(()) is EXPERIMENTS['fig4']

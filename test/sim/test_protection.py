@@ -276,7 +276,7 @@ def test_an_interception_meets_the_pedestrian_that_arrives_next() -> None:
     def place(seen: WorldState) -> list[float]:
         return (seen.shepherds + law.act(seen, {})[0] * 0.5)[0].tolist()
 
-    assert place(state) == pytest.approx([-(8 - 0.7), 0.0])
+    assert place(state) == pytest.approx([-(8 - 0.9), 0.0])
     near = replace(state, sheep=state.sheep * 0.2)
     first, second, _ = law.arrival(near, near.goal).tolist()  # 2 and 1.6 m from the middle
     assert second < first < 0
