@@ -6,14 +6,10 @@ ROS ?= jazzy
 
 TASK ?= herding
 ifeq ($(TASK),herding)
-CONTROLLER ?= policy
 SHEEP ?= 100
 FLOCK ?= strombom
-else
-CONTROLLER ?= intercept
-SHEEP ?=
-FLOCK ?=
 endif
+CONTROLLER ?= policy
 SHEPHERDS ?= 3
 PRESET ?= default
 SEED ?= 0

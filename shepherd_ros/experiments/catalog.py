@@ -13,8 +13,10 @@ from shepherd_ros.experiments.setting import Setting
 OF_THE_PAPER = ('fig4', 'fig5', 'fractions', 'fig6', 'fig7', 'fig8')
 QUICK_EPISODES = 50  # of each cell of the short forms: one batch
 BASELINES = ('strombom', 'pierson')
+ESCORTS = ('policy:escort', 'intercept', 'block', 'wedge', 'ring', 'idle')
 PAPER_CONTROLLERS = ('policy', *BASELINES, 'drover')
 FIGURE_4 = ('completion_time', 'shepherd_path_length', 'flock_spread', 'flock_path_length')
+PROTECTED = ('clean_success', 'success')
 FRACTION_METRICS = ('fraction_reached', 'shepherd_path_length')
 TENS = tuple(range(10, 101, 10))
 SIZES, TEAMS = (10, 20, 50, 100, 150, 200, 300, 400), (1, 2, 3, 4, 6, 8, 10, 12)
@@ -88,6 +90,13 @@ def _cases(name: str, title: str, settings: Iterable[Setting], **options: Any) -
     )
 
 
+def _escorting(name: str, title: str, quick: Sequence[Any], **axis: Sequence[Any]) -> Experiment:
+    """Return an experiment of payload protection along an axis; quick are its ends."""
+    (field,) = axis
+    options = {'base': _PAYLOAD, 'controllers': ESCORTS}
+    return _sweep(name, title, PROTECTED, {field: quick}, **options, **axis)
+
+
 _FIG4 = _sweep('fig4', 'Size of the flock', FIGURE_4, {'sheep': (10, 50, 100)}, sheep=TENS)
 _FIG5 = _sweep(
     'fig5', 'Number of shepherds', FIGURE_4, {'shepherds': (1, 3, 4, 6)}, shepherds=range(1, 7)
@@ -117,6 +126,12 @@ _LIDAR = (
     *setting_grid(dropout=(0.1, 0.2, 0.4, 0.6, 0.8)),
     Setting(cross_occlusion=True),
     *setting_grid(rays=(256, 128, 64, 32, 16)),
+)
+_PAYLOAD = Setting(task='protection', sheep=40, flock='crowd')
+_PAYLOADS = (
+    _PAYLOAD,
+    replace(_PAYLOAD, flock='drifting'),
+    *(replace(_PAYLOAD, set=(f'world.goal_radius={radius}',)) for radius in (1.5, 3.0)),
 )
 
 EXPERIMENTS: dict[str, Experiment] = {
@@ -201,11 +216,22 @@ EXPERIMENTS: dict[str, Experiment] = {
             'Starts that the paper leaves out',
             setting_grid(start=('paper', 'scattered', 'two_groups')),
         ),
+        _escorting('escorts', 'Number of escorts', (1, 6), shepherds=(1, 2, 3, 4, 6)),
+        _escorting('pedestrians', 'Number of pedestrians', (10, 100), sheep=(10, 40, 70, 100)),
+        _escorting('escort_noise', 'Noise on what escorts see', (0.0, 2.0), noise=(0.0, 1.0, 2.0)),
+        _cases(
+            'payloads',
+            'Other crowds and regions',
+            _PAYLOADS,
+            panels=PROTECTED,
+            controllers=ESCORTS,
+        ),
     )
 }
 GROUPS = {
     'paper': OF_THE_PAPER,
     'beyond': ('herdability', 'transfer', 'noise_repulsion', 'lidar', 'starts'),
+    'protection': ('escorts', 'pedestrians', 'escort_noise', 'payloads'),
     'all': tuple(EXPERIMENTS),
 }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,11 @@ from matplotlib.patheffects import withStroke
 import numpy as np
 from shepherd_ros.experiments.bootstrap import Array, mean_interval
 from shepherd_ros.experiments.methods import kind_of
-from shepherd_ros.policy.checkpoint import shipped_checkpoints
+from shepherd_ros.policy.checkpoint import (
+    checkpoint_file,
+    read_checkpoint_metadata,
+    shipped_checkpoints,
+)
 from shepherd_ros.sim.metrics import METRICS
 from shepherd_ros.view.picture import write_small_png
 from shepherd_ros.view.scene import FAINT, GRID, INK
@@ -38,9 +43,20 @@ SPARE_STYLES = [
 ]  # fmt: skip
 
 
+@lru_cache
+def _shipped_methods() -> tuple[str, ...]:
+    """Return the shipped policies by their full names, those that herd first."""
+
+    def order(name: str) -> tuple[bool, str]:
+        config, _, _ = read_checkpoint_metadata(checkpoint_file(name))
+        return config.task != 'herding', name
+
+    return tuple(f'policy:{name}' for name in sorted(shipped_checkpoints(), key=order))
+
+
 def style_of(name: str, names: Iterable[str]) -> dict[str, Any]:
     """Return the line style of a method, the same in all pictures if its checkpoint is shipped."""
-    known = dict.fromkeys([*(f'policy:{c}' for c in shipped_checkpoints()), *names])
+    known = dict.fromkeys([*_shipped_methods(), *names])
     free = [other for other in known if kind_of(other).style is None]
     color, line, marker = kind_of(name).style or SPARE_STYLES[free.index(name) % len(SPARE_STYLES)]
     return {

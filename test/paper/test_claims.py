@@ -482,6 +482,7 @@ def test_a_primary_policy_stands_for_the_flock_of_its_training() -> None:
     ('name', 'flocks', 'critic'),
     [('imitation', {'strombom'}, False), ('strombom', {'strombom'}, True),
      ('paper_network', {'strombom'}, True),
+     ('escort', {'crowd'}, False),
      ('third_strombom', {'strombom'}, True),
      ('reynolds', {'reynolds'}, True), ('general', {'strombom'}, False)],
 )  # fmt: skip

@@ -13,6 +13,7 @@ from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
 from shepherd_ros.learning.dagger_config import DaggerConfig
 from shepherd_ros.learning.train_ppo import PPORunConfig
+from shepherd_ros.policy.card import metrics_for
 from shepherd_ros.policy.checkpoint import (
     checkpoint_file,
     load_policy,
@@ -24,7 +25,9 @@ from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.policy.torchscript import export_actor
 from shepherd_ros.sim.lidar import LidarConfig
+from shepherd_ros.sim.metrics import shown
 from shepherd_ros.sim.observation import ObservationConfig
+from shepherd_ros.sim.tasks import TASKS
 import torch
 
 SMALL = PolicyConfig(
@@ -172,7 +175,9 @@ def test_info_is_a_page_for_people_and_json_for_programs(
         assert ('flock', task['flock']) in rows
         sheep = {task['sheep_min']: None, task['sheep_max']: None}
         assert ('sheep', ' to '.join(map(str, sheep))) in rows
-        assert ('completion [steps]', f'{measured["completion_time"]:.4g}') in rows
+        for metric in (m for m in shown('eval', metrics_for(config)) if m.name in measured):
+            assert (metric.short, f'{measured[metric.name]:.4g}') in rows
+        assert TASKS[config.task].achieved in measured
         assert ('lidar', f'{config.lidar.n_rays} rays up to {config.lidar.range_max:g} m') in rows
 
 

@@ -30,6 +30,7 @@ class CrowdFlock(FlockConfig):
     """Parameters of the crowd; ranges and weights are choices, but for tau, A and B."""
 
     restless = True
+    checkpoint = 'escort'
 
     speed: float = option(0.5, 'highest preferred speed of a pedestrian [m/s]', low=0.0)
     slowest: float = option(0.2, 'lowest preferred speed [m/s]', low=0.0)

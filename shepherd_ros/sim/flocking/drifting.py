@@ -22,6 +22,7 @@ class DriftingFlock(FlockConfig):
     """Parameters of drifting obstacles (choices)."""
 
     restless = True
+    checkpoint = 'escort'
 
     speed: float = option(0.5, 'highest speed [m/s]', low=0.0)
     slowest: float = option(0.2, 'lowest speed [m/s]', low=0.0)
