@@ -21,7 +21,8 @@ from shepherd_ros.policy.checkpoint import (
     read_checkpoint_metadata,
     shipped_checkpoints,
 )
-from shepherd_ros.sim.metrics import METRICS
+from shepherd_ros.sim.metrics import Metric
+from shepherd_ros.sim.tasks import TASKS
 from shepherd_ros.view.picture import write_small_png
 from shepherd_ros.view.scene import FAINT, GRID, INK
 
@@ -132,9 +133,14 @@ def spaced(heights: Array, gap: float) -> Array:
     return result
 
 
+def _metric(name: str) -> Metric:
+    """Return a metric of any task."""
+    return next(kind.metrics[name] for kind in TASKS.values() if name in kind.metrics)
+
+
 def axis_label(metric: str) -> str:
     """Return the title of a metric with its unit."""
-    entry = METRICS[metric]
+    entry = _metric(metric)
     return entry.title if f'[{entry.unit}]' in entry.title else f'{entry.title} [{entry.unit}]'
 
 
@@ -146,5 +152,5 @@ def mean_and_bars(values: Array) -> tuple[Array, Array]:
 
 def limit(axes: Axes, metric: str, along: str = 'y') -> None:
     """Set the limits of an axis: 0 to 1 for fractions, from 0 for others."""
-    top = 1.03 if METRICS[metric].unit == '1' else None
+    top = 1.03 if _metric(metric).unit == '1' else None
     getattr(axes, f'set_{along}lim')(0, top)

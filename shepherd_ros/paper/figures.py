@@ -26,6 +26,7 @@ from shepherd_ros.paper.drawing import (
     tidy,
 )
 from shepherd_ros.sim.metrics import METRICS
+from shepherd_ros.sim.tasks import TASKS
 from shepherd_ros.view.scene import FAINT, GRID, INK
 
 AXES = {
@@ -45,6 +46,14 @@ def draw(samples: Samples) -> Figure:
     return draw_maps(samples) if len(fields) == 2 else draw_lines(samples)
 
 
+def _axis_title(samples: Samples) -> str:
+    """Return the title of the axis that an experiment varies, in the words of its task."""
+    task, field = samples.settings[0].task, samples.experiment.axes[0]
+    many, one, _ = TASKS[task].words
+    words = {'sheep': many, 'shepherds': f'{one}s'}
+    return AXES[field] if task == 'herding' else words.get(field, AXES[field])
+
+
 def draw_lines(samples: Samples) -> Figure:
     """Return means over an axis with 95 % intervals, a panel for each metric."""
     experiment = samples.experiment
@@ -60,7 +69,7 @@ def draw_lines(samples: Samples) -> Figure:
             last = np.flatnonzero(np.isfinite(mean))[-1]
             ends[label(name)] = (x[order][last], mean[last])
         limit(axes, metric)
-        tidy(axes, AXES[experiment.axes[0]], axis_label(metric), f'({"abcdef"[k]})')
+        tidy(axes, _axis_title(samples), axis_label(metric), f'({"abcdef"[k]})')
         direct_labels(axes, ends, looks)
     _title(figure, samples)
     return figure
