@@ -58,9 +58,14 @@ def luminance(color: str) -> float:
 def test_methods_differ_by_more_than_colour() -> None:
     policies = [f'policy:{name}' for name in shipped_checkpoints()]
     assert len(policies) > 4
+    module = CONTROLLERS['ring'].__module__
+    escorts = {'policy:escort', *(n for n, c in CONTROLLERS.items() if c.__module__ == module)}
     names = [*policies, 'unknown', *(name for name in CONTROLLERS if name != 'policy')]
-    looks = [style_of(name, names) for name in names]
-    for one, other in combinations(looks, 2):
+    looks = {name: style_of(name, names) for name in names}
+    herding = [looks[name] for name in names if name not in escorts]
+    protection = [looks[name] for name in names if name in {*escorts, 'unknown', 'idle', 'random'}]
+    assert len(protection) > 6
+    for one, other in (*combinations(herding, 2), *combinations(protection, 2)):
         assert one['marker'] != other['marker']
         filled = [look['markerfacecolor'] != 'white' for look in (one, other)]
         in_grey = abs(luminance(one['color']) - luminance(other['color']))
