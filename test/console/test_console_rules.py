@@ -289,7 +289,7 @@ def test_a_shepherd_is_held_by_one_and_stands_when_it_is_given_back(
 
 
 def test_a_critic_that_has_learned_nothing_is_not_shown() -> None:
-    for name in ('imitation', 'gated'):
+    for name in ('imitation', 'general'):
         with pytest.raises(ConfigError, match=f'{name}.*expected a policy that PPO has trained'):
             map_states({'checkpoint': name, 'shepherd': 0}, lambda **line: None)
 

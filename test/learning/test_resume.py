@@ -15,7 +15,8 @@ from typing import Any
 import pytest
 from shepherd_ros.config import Config, ConfigError
 from shepherd_ros.controllers import make_controller
-from shepherd_ros.learning import training_loop
+from shepherd_ros.learning import dagger
+from shepherd_ros.learning import train_ppo as ppo_training
 from shepherd_ros.learning.clone import CloneConfig
 from shepherd_ros.learning.dagger import LabelledWorlds, train_dagger
 from shepherd_ros.learning.dagger_config import DaggerConfig
@@ -183,7 +184,7 @@ def test_ctrl_c_in_an_evaluation_ends_at_once_and_the_line_comes_later(
         return {}
 
     with monkeypatch.context() as patch:
-        patch.setattr(training_loop, 'validate', validate)
+        patch.setattr(ppo_training, 'validate', validate)
         with pytest.raises(KeyboardInterrupt):
             learn('ppo', tmp_path / 'cut', bags)
     assert len((tmp_path / 'cut' / 'curve.jsonl').read_text().splitlines()) == 1
@@ -234,7 +235,7 @@ def test_the_best_is_not_replaced_by_a_worse_one_even_after_the_state_is_lost(
     best = read_checkpoint_metadata(tmp_path / 'best.safetensors')[1]['eval']
     (tmp_path / 'state.pt').unlink()
     worse = {name: value - 1 for name, value in best.items()}
-    monkeypatch.setattr(training_loop, 'validate', lambda *arguments: worse)
+    monkeypatch.setattr(dagger, 'validate', lambda *arguments: worse)
     learn('dagger', tmp_path, bags)
     assert read_checkpoint_metadata(tmp_path / 'best.safetensors')[1]['eval'] == best
 
@@ -316,7 +317,7 @@ def test_a_full_disk_is_told_and_leaves_what_was_there(
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, 'replace', full)
-        patch.setattr(training_loop, 'validate', lambda *arguments: {'score': 1e9})
+        patch.setattr(ppo_training, 'validate', lambda *arguments: {'score': 1e9})
         with pytest.raises(ConfigError, match=rf'{name} cannot be written .*No space left'):
             learn('ppo', cut, bags)
     assert learn('ppo', cut, bags) == whole('ppo')[1]

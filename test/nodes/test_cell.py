@@ -29,7 +29,7 @@ def test_a_cell_over_topics_has_the_metrics_of_the_batched_one(
     graph.host('metrics')
     if controller == 'policy':
         graph.host('lidar', shepherd_ids=[0, 1], noise_std=0.3)
-        graph.host('policy', shepherd_ids=[0, 1])
+        graph.host('policy', shepherd_ids=[0, 1], checkpoint='imitation')
     else:
         graph.host(controller, noise_std=0.3)
     topics = [f'metrics/{metric}' for metric in METRICS]

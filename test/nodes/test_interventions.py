@@ -158,11 +158,11 @@ def test_cloning_learns_from_the_persons_steps_alone(
     seen: list[int] = []
     add = Examples.add
 
-    def counted(self: Examples, frames: Any, first: Any, wanted: Any) -> None:
+    def counted(self: Examples, frames: Any, first: Any, wanted: Any, *others: Any) -> None:
         speeds = wanted.norm(dim=-1)
         assert torch.allclose(speeds, torch.tensor(BY_HAND).norm().expand(len(speeds)))
         seen.append(len(wanted))
-        add(self, frames, first, wanted)
+        add(self, frames, first, wanted, *others)
 
     monkeypatch.setattr(Examples, 'add', counted)
     config = training.BCConfig(
