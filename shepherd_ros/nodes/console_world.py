@@ -48,6 +48,7 @@ class WorldRequests:
         self.server: PageServer | None = None  # once it runs
         self.present = False
         self.current = self.asking = False  # whether settings are those of the world, or to come
+        self.refreshes = 0  # what an earlier one asked for is not heard
         self.paused: bool | None = None
         self.changed = -REPORT_DELAY  # when a page paused it or let it go on [s]
         self.rate = 0.0
@@ -94,8 +95,12 @@ class WorldRequests:
         """Ask the world for its parameters and tell them; look() asks again without an answer."""
         names = [*SETTINGS, 'rate']
         self.current, self.asking = False, True
+        self.refreshes += 1
+        number = self.refreshes
 
         def described(answer: Any, reason: str) -> None:
+            if number != self.refreshes:
+                return
             self.asking = answer is not None and len(answer.descriptors) == len(names)
             if self.asking:
                 self._call(
@@ -105,6 +110,8 @@ class WorldRequests:
                 )
 
         def with_values(descriptors: list[Any], answer: Any, reason: str) -> None:
+            if number != self.refreshes:
+                return
             self.asking = False
             self.current = answer is not None and len(answer.values) == len(names)
             if self.current:
