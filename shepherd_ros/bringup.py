@@ -174,8 +174,9 @@ def _own_lidar(controller: str, flock_sim: Mapping[str, Any]) -> dict[str, Any]:
     from shepherd_ros.experiments.methods import loaded
 
     checkpoint = controller_process(controller, flock_sim).parameters.get('checkpoint')
-    contact = loaded(checkpoint).config.lidar.contact if checkpoint else ''
-    return {'lidar.contact': contact} if contact == 'facing' else {}
+    changes = loaded(checkpoint).config.lidar.changes() if checkpoint else {}
+    # the number of rays is that of the setting: _require_fit() compares them
+    return {f'lidar.{name}': value for name, value in changes.items() if name != 'n_rays'}
 
 
 def _require_fit(checkpoint: str, setting: Setting) -> None:

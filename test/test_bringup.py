@@ -23,7 +23,7 @@ from shepherd_ros.launch_arguments import (
 )
 from shepherd_ros.nodes.compose import NODES
 from shepherd_ros.nodes.herd_node import HerdOptions
-from shepherd_ros.policy.checkpoint import save_policy, shipped_checkpoints
+from shepherd_ros.policy.checkpoint import load_policy, save_policy, shipped_checkpoints
 from shepherd_ros.policy.network import NetworkConfig
 from shepherd_ros.policy.policy import Policy, PolicyConfig
 from shepherd_ros.resources import quick_profile, share_file
@@ -193,6 +193,15 @@ def test_lidars_of_a_stack_touch_bodies_as_the_policy_knows_it(tmp_path: Path) -
     assert [p.parameters['contact'] for p in lidars] == ['facing'] * 3
     lidars = [p for p in stack_in(Setting(), 'policy:imitation') if p.executable == 'lidar']
     assert not any('contact' in p.parameters for p in lidars)
+
+
+@pytest.mark.parametrize('name', shipped_checkpoints())
+def test_lidars_of_a_stack_are_those_that_a_shipped_policy_knows(name: str) -> None:
+    config = load_policy(name).config
+    stack = stack_in(Setting(task=config.task), f'policy:{name}')
+    for lidar in (p for p in stack if p.executable == 'lidar'):
+        options = {k: v for k, v in lidar.parameters.items() if k != 'shepherd_ids'}
+        assert LidarConfig(**options) == config.lidar
 
 
 def test_a_viewer_of_a_stack_in_a_namespace_gets_its_topics() -> None:

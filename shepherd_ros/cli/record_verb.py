@@ -89,14 +89,16 @@ class Record(OneSetting):
 
     def environment(self) -> tuple[EnvConfig, Controller]:
         """Return environment and controller, or raise ConfigError."""
-        from shepherd_ros.experiments.methods import full_name, method_in
+        from shepherd_ros.experiments.methods import full_name, lidar_in, method_in
         from shepherd_ros.experiments.setting import env_config
         from shepherd_ros.sim.presets import training_world
 
         config = env_config(self.setting)
         if self.training:
             config = replace(config, world=training_world(config.world))
-        return config, method_in(config, full_name(self.controller))
+        name = full_name(self.controller)
+        method = method_in(config, name)
+        return replace(config, lidar=lidar_in(config, name)), method
 
 
 def record_part(options: Record, seeds: range) -> int:

@@ -178,5 +178,13 @@ def method_in(config: EnvConfig, name: str, preset: str = 'default') -> Controll
             'was trained with'
         )
     controller = FaultyLidarController(learned, config.world, policy)
-    controller.lidar = replace(policy.config.lidar, **faults)
+    controller.lidar = lidar_in(config, name)
     return controller
+
+
+def lidar_in(config: EnvConfig, name: str) -> LidarConfig:
+    """Return the lidar of an environment, for a policy that of its training with these faults."""
+    checkpoint = checkpoint_of(name)
+    if not checkpoint:
+        return config.lidar
+    return replace(loaded(checkpoint).config.lidar, **config.lidar.changes())

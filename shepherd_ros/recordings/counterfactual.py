@@ -81,8 +81,11 @@ def memory_at(
 def lidar_of(episode: RecordedEpisode) -> LidarConfig:
     """Return the lidar of the scans, the default one without scans."""
     rays = {s.shape[-1] for frame in episode.frames for s in frame.scans if s is not None}
+    reach = {range_max for frame in episode.frames for range_max, _ in frame.lidars}
     others = ','.join(set(episode.channels) - set(PAPER_CHANNELS))
-    return LidarConfig(n_rays=rays.pop(), others=others) if len(rays) == 1 else LidarConfig()
+    if len(rays) != 1 or len(reach) != 1:
+        return LidarConfig()
+    return LidarConfig(n_rays=rays.pop(), range_max=reach.pop(), others=others)
 
 
 def recorded_or_cast_ranges(frame: Frame, moment: Moment) -> list[np.ndarray]:

@@ -9,11 +9,13 @@ from shepherd_ros.cli import main
 from shepherd_ros.cli.record_verb import Record
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.recordings.check import check_bag
+from shepherd_ros.recordings.counterfactual import lidar_of
 from shepherd_ros.recordings.episodes import iter_episodes
 from shepherd_ros.recordings.record import episode_folder, record_episodes
 from shepherd_ros.rosbag2.diff import diff_bags
 from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.sim.env import ShepherdEnv
+from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.presets import training_world
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
@@ -72,6 +74,23 @@ def test_teams_of_training_have_topics_for_those_present_only(tmp_path: Path) ->
         assert named == episode.n_shepherds
         teams.add(named)
     assert len(teams) > 1
+
+
+def test_scans_of_a_policy_are_of_the_lidar_of_its_training(tmp_path: Path) -> None:
+    words = ['--task', 'protection', '--sheep', '40', '--shepherds', '2', '--steps', '3']
+    drivers = {'policy:escort': 20.0, 'ring': 75.0}
+    for name, reach in drivers.items():
+        out = tmp_path / name.partition(':')[0]
+        words_of = [*words, '--controller', name, '--episodes', '1', '--out', str(out)]
+        assert main(['record', *words_of]) == 0
+        (episode,) = iter_episodes(open_bag(episode_folder(out, 0)))
+        assert {limit for frame in episode.frames for limit, _ in frame.lidars} == {reach}
+        assert lidar_of(episode) == LidarConfig(range_max=reach)
+        (first, *_) = episode.frames
+        pedestrians = [scan[0] for scan in first.scans if scan is not None]
+        assert len(pedestrians) == 2
+        seen = np.concatenate([ranges[np.isfinite(ranges)] for ranges in pedestrians])
+        assert (seen.max() <= 20.0) == (reach == 20.0)
 
 
 def test_the_verb_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
