@@ -97,7 +97,7 @@ WORLDS := --sheep-min 10 --repulsion-min 0.5 --repulsion-max 4 --noise-max 2 \
   --noise-free-share 0.4 --home-distance-max 9
 JUDGED := --eval-steps 500 --return-weight 0 --goal-weight 2 --path-weight 0.2
 
-train: setup  # the policy `general` from nothing: two hours on one core; out/train/
+train: setup  # the policy `general` from nothing: hours on one core; out/train/
 	$(BIN)/shepherd train ppo $(SMALL) --actor-learning-rate 2.5e-4 --critic-learning-rate 6e-4 \
 	  --samples $(SAMPLES) --goal-radius-max 6 --home-share 0.35 --seed 2 --out $(TRAINED)/drives
 	$(BIN)/shepherd train dagger --pretrained $(DRIVES) --policy.decision-interval 0.5 \

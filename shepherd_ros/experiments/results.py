@@ -116,8 +116,8 @@ def read_table(path: Path) -> pa.Table:
     Return the rows of one file, or raise ConfigError if it is not one of ours.
 
     A missing option of the setting gets its default, a missing metric NaN, or null if it is one of
-    another task; unknown columns are
-    left out. Keys are those of this version.
+    another task; unknown columns are left out. Keys are those of this version, whatever the file
+    holds.
     """
     try:
         table = parquet.read_table(path)
