@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import os
 import time
@@ -26,7 +26,7 @@ from std_srvs.srv import SetBool, Trigger
 _WORLD = 'flock_sim'
 DISCOVERY_TIMEOUT = 5.0  # [s] in which a world is found, or is not there
 SETTLE_TIME = 0.5  # [s] after which no more services of a node are expected
-REPORT_TIMEOUT = 1.5  # [s] in which every node reports on /diagnostics
+REPORT_TIMEOUT = 1.5  # [s] after which no more nodes and reports are expected
 LEVELS = {
     DiagnosticStatus.OK: 'OK',
     DiagnosticStatus.WARN: 'WARN',
@@ -114,31 +114,59 @@ class WorldClient(Node):
 
         def on_episode(message: Any) -> None:
             e = Episode.from_json(message.data)
-            lines[''] = (
+            lines[EPISODE] = (
                 f'episode {e.number}, seed {e.seed}: {e.n_sheep} sheep, {e.n_shepherds} '
                 f'shepherds, {e.mode}'
             )
 
+        def silent() -> list[str]:
+            reported = {name.partition(': ')[0] for name in lines}
+            return [n for n in self._reporters() if n not in reported]
+
         kind = message_type(row_of(EPISODE).type)
         self.create_subscription(DiagnosticArray, '/diagnostics', on_report, 100)
         self.create_subscription(kind, EPISODE, on_episode, quality(EPISODE, subscribe=True))
-        limit = time.monotonic() + DISCOVERY_TIMEOUT
-        while time.monotonic() < limit:
-            rclpy.spin_once(self, timeout_sec=0.1)
-            if lines and limit > time.monotonic() + REPORT_TIMEOUT:
-                limit = time.monotonic() + REPORT_TIMEOUT
+        self._settle(lambda: {*lines, *self._reporters()}, lambda: bool(lines) and not silent())
         if not lines:
             raise self._not_found()
-        return [lines[name] for name in sorted(lines)]
+        for name in silent():
+            lines[name] = f'STALE  {name}: no message of this name within {DISCOVERY_TIMEOUT:g} s'
+        return [lines[name] for name in sorted(lines, key=lambda name: (name != EPISODE, name))]
+
+    def _reporters(self) -> set[str]:
+        """Return the nodes that publish /diagnostics, and the episode if it has a publisher."""
+        ends = self.get_publishers_info_by_topic('/diagnostics')
+        names = {f'{end.node_namespace}/{end.node_name}'.lstrip('/') for end in ends}
+        return names | ({EPISODE} if self.count_publishers(EPISODE) else set())
 
     def nodes(self) -> list[str]:
-        """Return the full names of the nodes that run."""
-        known, limit = set[str](), time.monotonic() + REPORT_TIMEOUT
-        while time.monotonic() < limit:
+        """Return the full names of the nodes that run but for hidden ones; ConfigError if none."""
+
+        def visible() -> set[str]:
             names = self.get_node_names_and_namespaces()
-            known = {f'{space.rstrip("/")}/{name}' for name, space in names}
-            time.sleep(0.1)
-        return sorted(known - {self.get_fully_qualified_name()})
+            full = {f'{space.rstrip("/")}/{name}' for name, space in names}
+            return {name for name in full - {self.get_fully_qualified_name()} if '/_' not in name}
+
+        known = self._settle(visible, lambda: bool(visible()))
+        if not known:
+            raise ConfigError(
+                f'no node was found within {DISCOVERY_TIMEOUT:g} s: expected one that runs; start '
+                f'it, or check {_domain()}'
+            )
+        return sorted(known)
+
+    def _settle(self, known: Callable[[], set[str]], complete: Callable[[], bool]) -> set[str]:
+        """
+        Return known() once it has not changed for a while, spinning.
+
+        That is REPORT_TIMEOUT where it is complete(), else DISCOVERY_TIMEOUT.
+        """
+        seen, changed = known(), time.monotonic()
+        while time.monotonic() < changed + (REPORT_TIMEOUT if complete() else DISCOVERY_TIMEOUT):
+            rclpy.spin_once(self, timeout_sec=0.1)
+            if (now := known()) != seen:
+                seen, changed = now, time.monotonic()
+        return seen
 
     def _set(self, name: str, value: Any) -> None:
         """Set a parameter of the world; ConfigError with its reason if it refuses."""
@@ -172,9 +200,13 @@ class WorldClient(Node):
         name = f'{self.get_namespace().rstrip("/")}/{_WORLD}'
         return ConfigError(
             f'no {name} was found within {DISCOVERY_TIMEOUT:g} s: expected one that runs; start '
-            'it, or check --namespace and ROS_DOMAIN_ID, which is '
-            f'{os.environ.get("ROS_DOMAIN_ID", "0")}'
+            f'it, or check --namespace and {_domain()}'
         )
+
+
+def _domain() -> str:
+    """Return the variable that says which nodes can be found, with its value."""
+    return f'ROS_DOMAIN_ID, which is {os.environ.get("ROS_DOMAIN_ID", "0")}'
 
 
 @contextmanager
