@@ -104,7 +104,7 @@ setup(
         ],
     },
     zip_safe=False,
-    author='The shepherd_ros maintainers',
+    author=MANIFEST.find('maintainer').text,
     maintainer=MANIFEST.find('maintainer').text,
     maintainer_email=MANIFEST.find('maintainer').get('email'),
     description=' '.join(MANIFEST.findtext('description').split()),

@@ -13,9 +13,9 @@ sys.path.insert(0, str(ROOT))
 shutil.rmtree(ROOT / 'docs/reference/api', ignore_errors=True)  # pages of modules that moved
 
 project = 'shepherd_ros'
-author = 'The shepherd_ros maintainers'
-copyright = author
-release = ET.parse(ROOT / 'package.xml').getroot().findtext('version')
+manifest = ET.parse(ROOT / 'package.xml').getroot()
+author = copyright = manifest.findtext('maintainer')
+release = manifest.findtext('version')
 
 extensions = [
     'myst_parser',

@@ -324,7 +324,9 @@ def test_hooks_and_workflow_are_what_they_seem() -> None:
     ids = {hook['id'] for repo in hooks['repos'] for hook in repo['hooks']}
     assert ids == {'ruff-check', 'ruff-format', 'codespell', 'large-files'}
     workflow = yaml.safe_load((ROOT / '.github/workflows/ci.yml').read_text(encoding='utf-8'))
-    steps = workflow['jobs']['test']['steps']
+    job = workflow['jobs']['test']
+    assert 'kilted' in {row['ros'] for row in job['strategy']['matrix']['include']}
+    steps = job['steps']
     commands = [f'make {target}' for target in ('lint', 'docs', 'test', 'test-system')]
     assert [step['run'] for step in steps if 'run' in step] == commands
     script = (ROOT / '.ci/run').read_text(encoding='utf-8').splitlines()

@@ -201,6 +201,10 @@ def test_rosdep_and_one_pip_line_bring_all_that_pip_would() -> None:
     assert {'yaml', 'pil'} <= keys
     (torch,) = (e for e in manifest.iter('exec_depend') if e.text == 'python3-torch')
     assert torch.get('condition')
+    # pip outside of an environment is refused, and executables get the Python that runs colcon
+    assert 'python3 -m venv --system-site-packages venv && touch venv/COLCON_IGNORE\n' in text
+    assert 'source venv/bin/activate\npip install torch' in text
+    assert '\npython3 -m colcon build\n' in text
 
 
 def test_colcon_code_and_executable_are_those_of_the_workspace(

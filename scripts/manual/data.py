@@ -21,6 +21,7 @@ from shepherd_ros.rosbag2 import metadata
 from shepherd_ros.sim.flocking import FLOCK_MODELS
 from shepherd_ros.sim.presets import PRESETS
 from shepherd_ros.sim.rollout import EnvConfig
+from shepherd_ros.sim.tasks import TASKS
 from shepherd_ros.wire.topics import contract
 
 from manual.tables import code, escaped, FIELDS, fields_of, page, table
@@ -94,7 +95,7 @@ one shepherd's steps, by one driver and without a hole.
 | --- | --- |
 | `{lerobot_format.DATA_PATH}` | the steps |
 | `{lerobot_format.EPISODES_PATH}` | the episodes |
-| `{lerobot_format.TASK_TABLE}` | the task, `{lerobot_format.TASK_TEXT}` |
+| `{lerobot_format.TASK_TABLE}` | tasks of the episodes, such as `{TASKS['herding'].meaning}` |
 | `{lerobot_format.INFO}` | shapes and types of the columns, as LeRobot reads them |
 | `{lerobot_format.STATS}` | mean, deviation and limits; rays without a return are left out |
 | `{lerobot_format.ABOUT}` | time step, rays, number of bags, what was left out and why |

@@ -15,7 +15,6 @@ INFO, ABOUT, STATS, TASK_TABLE = (
 )
 FILE_SIZE = 100  # [MiB] after which a data file is full
 FILES_PER_CHUNK = 1000  # files of a folder
-TASK_TEXT = 'herd the flock into the goal'
 LIDAR, ACTION = 'observation.lidar', 'action'
 _LONG = pa.int64()
 STEP_SCHEMA = pa.schema(

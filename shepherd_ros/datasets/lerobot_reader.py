@@ -61,6 +61,7 @@ class Dataset:
     runs: dict[str, np.ndarray]  # columns (E,) of meta/episodes
     names: list[str]  # of the bag of each run
     driver: list[str]  # of each run, empty if not recorded
+    tasks: list[str]  # of each run, what the team had to do
 
     @cached_property
     def files(self) -> np.ndarray:
@@ -105,6 +106,7 @@ class Dataset:
             lidar=np.concatenate([lidar for lidar, _ in tables])[order],
             action=np.concatenate([action for _, action in tables])[order],
             driver=driver[order] if driver.any() else driver[:0],
+            task=self.tasks[chosen.start],
         )
 
     def _files(self, chosen: range) -> Iterator[range]:
@@ -146,10 +148,11 @@ def open_dataset(folder: Path) -> Dataset:
         if source.metadata.num_rows > MAX_RUNS:
             raise BagError(path, f'it has more than {MAX_RUNS} rows', REBUILD_HINT)
         drivers = [name for name in source.schema_arrow.names if name == 'driver']
-        table = source.read([*NUMBERS, 'bag', *drivers], use_threads=False)
+        table = source.read([*NUMBERS, 'bag', 'tasks', *drivers], use_threads=False)
         count = np.arange(len(table))
         runs = {name: _array(table[name], pa.int64(), count.shape) for name in NUMBERS}
         bags = [str(name) for name in table['bag'].to_pylist()]
+        tasks = [', '.join(texts or []) for texts in table['tasks'].to_pylist()]
         driver = table['driver'].to_pylist() if drivers else [''] * len(table)
     for name, (low, high) in LIMITS.items():
         invalid = (runs[name] < low) | (runs[name] > high)
@@ -159,7 +162,7 @@ def open_dataset(folder: Path) -> Dataset:
     ends = np.cumsum(runs['length'])
     lidar = meta['range_max'], meta['layout']
     learned, driver = (meta['labels'], meta['drivers']), [str(name or '') for name in driver]
-    dataset = Dataset(folder, meta['dt'], *lidar, *learned, runs, bags, driver)
+    dataset = Dataset(folder, meta['dt'], *lidar, *learned, runs, bags, driver, tasks)
     if not (
         (np.diff(dataset.files) >= 0).all()
         and np.array_equal(runs['episode_index'], count)

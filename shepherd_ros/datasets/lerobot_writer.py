@@ -36,7 +36,6 @@ from shepherd_ros.datasets.lerobot_format import (
     STATS,
     STEP_SCHEMA,
     TASK_TABLE,
-    TASK_TEXT,
 )
 from shepherd_ros.datasets.running_stats import RunningStats
 from shepherd_ros.datasets.steps import Steps
@@ -67,6 +66,7 @@ class DatasetWriter:
         self.part = folder.with_name(f'.{folder.name}.part')
         self.dt, self.range_max, self.layout = 0.0, 0.0, ScanLayout(PAPER_CHANNELS, 0)
         self.rows, self.runs, self.files, self.bags = 0, 0, 0, 0
+        self.tasks: dict[str, int] = {}  # index by text, in the order of their first runs
         self._bag = ''
         self._in_file = 0  # [bytes]
         self._data: Any = None
@@ -117,6 +117,7 @@ class DatasetWriter:
                 f'the bags before, and {self.range_max} m',
                 'build a data set of each kind',
             )
+        self.tasks.setdefault(steps.task, len(self.tasks))
         self._ranges.add(steps.lidar.swapaxes(1, 2).reshape(-1, len(steps.channels)))
         self._actions.add(steps.action)
         try:
@@ -163,10 +164,9 @@ class DatasetWriter:
             steps.episode, steps.seed, steps.n_sheep, steps.n_shepherds,
             int(steps.shepherd[first]), int(steps.step[first]),
         )  # fmt: skip
-        numbers = dict(zip(NUMBERS, row, strict=True))
         driver = str(steps.driver[first]) if len(steps.driver) else ''
-        texts = {'tasks': [TASK_TEXT], 'bag': self._bag, 'driver': driver}
-        self._pending.append(numbers | texts)
+        texts = {'tasks': [steps.task], 'bag': self._bag, 'driver': driver}
+        self._pending.append(dict(zip(NUMBERS, row, strict=True)) | texts)
         self.runs, self.rows = self.runs + 1, self.rows + count
 
     def _table(self, steps: Steps, chosen: np.ndarray) -> pa.Table:
@@ -183,7 +183,7 @@ class DatasetWriter:
             pa.ListArray.from_arrays(pa.array(channels), rays),
             pa.FixedSizeListArray.from_arrays(pa.array(steps.action[chosen].ravel()), 2),
             (frame * self.dt).astype(np.float32), frame, np.full(n, self.runs),
-            frame + self.rows, np.zeros(n, np.int64),
+            frame + self.rows, np.full(n, self.tasks[steps.task]),
         )  # fmt: skip
         return pa.table(list(columns), schema=STEP_SCHEMA)
 
@@ -206,7 +206,7 @@ class DatasetWriter:
             'robot_type': 'shepherd',
             'total_episodes': self.runs,
             'total_frames': self.rows,
-            'total_tasks': 1,
+            'total_tasks': len(self.tasks),
             'chunks_size': FILES_PER_CHUNK,
             'data_files_size_in_mb': FILE_SIZE,
             'video_files_size_in_mb': 200,
@@ -218,8 +218,7 @@ class DatasetWriter:
         }
         meta = {
             'format': DATASET_FORMAT, 'version': __version__, 'dt': self.dt,
-            'range_max': self.range_max,
-            'n_rays': self.layout.n_rays,
+            'range_max': self.range_max, 'n_rays': self.layout.n_rays,
             'channels': list(self.layout.channels), 'labels': self.labels, 'bags': self.bags,
             'report': dict(report),
         }  # fmt: skip
@@ -231,7 +230,8 @@ class DatasetWriter:
             stats[name]['count'] = [self.rows]
         for path, content in ((INFO, info), (ABOUT, meta), (STATS, stats)):
             (self.part / path).write_text(json.dumps(content, indent=1), encoding='utf-8')
-        tasks = pa.table({'task_index': pa.array([0], pa.int64()), 'task': [TASK_TEXT]})
+        text = pa.array(list(self.tasks), pa.string())
+        tasks = pa.table({'task_index': np.arange(len(text)), 'task': text})
         tasks = tasks.replace_schema_metadata({'pandas': json.dumps(INDEXED_BY_TASK)})
         parquet.write_table(tasks, self.part / TASK_TABLE)
 

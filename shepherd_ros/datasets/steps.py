@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from shepherd_ros.config import ConfigError
 from shepherd_ros.recordings.episodes import Frame, RecordedEpisode
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS, ScanLayout
+from shepherd_ros.sim.tasks import TASKS
 from shepherd_ros.wire.decode import Floats, Ranges
 
 Refuse = Callable[[str, str, int], None]  # reason, place of the first, steps of single shepherds
@@ -37,6 +38,7 @@ class Steps:
     channels: tuple[str, ...] = PAPER_CHANNELS  # C
     range_max: float = 0.0  # m, of the lidar; 0 if it is not known
     partial: bool = False  # states of the episode were not recorded
+    task: str = ''  # what the team has to do, in words
     driver: NDArray[np.str_] = field(  # (n,) source of the action; (0,) if not recorded
         default_factory=lambda: np.zeros(0, np.str_)
     )
@@ -114,6 +116,7 @@ def steps_of(episode: RecordedEpisode, bag: str, number: int, refuse: Refuse) ->
         channels=episode.channels,
         range_max=range_max,
         partial=not episode.whole,
+        task=TASKS[episode.task].meaning if episode.task in TASKS else episode.task,
         lidar=np.stack([row[2] for row in steps]).astype(np.float32) if steps else empty,
         action=np.array([row[3] for row in steps], np.float32).reshape(-1, 2),
         driver=np.array(drivers if has_drivers else [], np.str_),

@@ -112,6 +112,17 @@ def test_a_mistake_is_named_with_a_way_out(
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.parametrize('words', ['dagger', 'bc bag'])
+def test_what_cannot_share_a_run_refuses_torchrun(
+    words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv('WORLD_SIZE', '2')
+    assert train(words, tmp_path / 'run') == 2
+    message = 'torchrun has started 2 processes: expected one, only PPO trains in several'
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / 'run').exists()
+
+
 def helped(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     """Return the help of a command."""
     with suppress(SystemExit):

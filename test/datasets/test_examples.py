@@ -40,7 +40,7 @@ from shepherd_ros.rosbag2.errors import BagError
 from shepherd_ros.rosbag2.reader import open_bag
 from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.observation import ObservationConfig
-from shepherd_ros.sim.presets import training_world
+from shepherd_ros.sim.presets import training_world, world_preset
 from shepherd_ros.sim.rollout import EnvConfig
 from shepherd_ros.sim.world import WorldConfig
 import torch
@@ -158,6 +158,36 @@ def test_a_built_folder_has_the_files_and_columns_of_lerobot(bags: Path, tmp_pat
     about = json.loads((out / 'meta/shepherd_ros.json').read_text())
     assert about['report'] == json.loads(json.dumps(report.to_dict()))
     assert [path.name for path in tmp_path.iterdir()] == ['built']
+
+
+def test_each_run_has_the_task_of_its_episode(bags: Path, tmp_path: Path) -> None:
+    herd = 'herd the flock into the goal'
+    guard = 'keep a moving crowd away from a payload that travels to its destination'
+    preset = world_preset(task='protection')
+    world = replace(preset, n_sheep=5, n_shepherds=2, episode_steps=3, dt=WORLD.dt)
+    config = EnvConfig(world=world, lidar=POLICY.lidar)
+    crowd = tmp_path / 'crowd'
+    record_episodes(config, make_controller('ring', world), range(1), crowd)
+    build_dataset([bags, crowd], tmp_path / 'both', OBSERVATION)
+    build_dataset([crowd], tmp_path / 'one', OBSERVATION)
+    build_dataset([tmp_path / 'both'], tmp_path / 'again', OBSERVATION)  # of a data set
+    for name, texts in (('both', [herd, guard]), ('one', [guard]), ('again', [herd, guard])):
+        out = tmp_path / name
+        tasks = pandas.read_parquet(out / 'meta/tasks.parquet')['task_index'].to_dict()
+        assert tasks == {text: k for k, text in enumerate(texts)}
+        info = json.loads((out / 'meta/info.json').read_text())
+        assert info['total_tasks'] == len(texts)
+        path = out / info['data_path'].format(chunk_index=0, file_index=0)
+        index = parquet.read_table(path)['task_index'].to_numpy()
+        for row in parquet.read_table(out / EPISODES_PATH).to_pylist():
+            (text,) = row['tasks']
+            assert text == (guard if row['n_sheep'] == 5 else herd)
+            own = slice(row['dataset_from_index'], row['dataset_to_index'])
+            assert (index[own] == tasks[text]).all()
+    # a task of a plug-in that is not here is called by its name
+    episode = next(iter_episodes(open_bag(bag_folders(bags)[0])))
+    fetch = replace(episode, world={**episode.world, 'task': {'name': 'fetch'}})
+    assert steps_of(fetch, 'x', 0, quiet).task == 'fetch'
 
 
 def test_full_files_are_followed_by_others(bags: Path, tmp_path: Path) -> None:

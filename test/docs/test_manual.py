@@ -6,6 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 import re
 import shlex
+import xml.etree.ElementTree as ET
 
 from manual_blocks import blocks, DOCS, README, ROOT, WRITTEN
 import pytest
@@ -67,10 +68,14 @@ def test_badges_are_true() -> None:
     assert "'jazzy': [" in SETUP and 'ROS_2-Jazzy-blue' in text
 
 
-def test_the_citation_names_this_version() -> None:
+def test_the_citation_names_this_version_and_its_maintainers() -> None:
     cited = yaml.safe_load((ROOT / 'CITATION.cff').read_text(encoding='utf-8'))
-    version = re.search(r'<version>(.*)</version>', (ROOT / 'package.xml').read_text())
-    assert version and str(cited['version']) == version[1]
+    manifest = ET.parse(ROOT / 'package.xml').getroot()
+    assert str(cited['version']) == manifest.findtext('version')
+    assert cited['license'] == manifest.findtext('license')
+    assert [author['name'] for author in cited['authors']] == [
+        maintainer.text for maintainer in manifest.iter('maintainer')
+    ]
 
 
 # ---- words of commands ----

@@ -70,6 +70,8 @@ def test_copies_and_later_episodes_have_starts_of_their_own() -> None:
             seen, _ = one.reset(seed if episode == 0 else None)
             starts.add(seen['shepherd_0'].tobytes())
     assert len(starts) == 9 * 20
+    unseeded = [HerdingEnv(config).reset()[0] for _ in range(2)]
+    assert not np.array_equal(*unseeded), 'the first episode without a seed is any'
     for env in (HerdingVectorEnv(config, 2), HerdingEnv(config)):
         env.reset(seed=5)
         first, second = (env.reset()[0] for _ in range(2))

@@ -127,6 +127,7 @@ def test_the_verbs_write_draw_and_learn_from_them(
     assert main([*words, '--bag-folder', str(tmp_path / 'bags')]) == 0
     paths = sorted((tmp_path / 'bags').iterdir())
     assert len(paths) > 2
+    assert all((path / f'{path.name}_0.mcap').is_file() for path in paths)
     assert all(main(['bag', 'check', str(path)]) == 0 for path in paths)
     assert main(['bag', 'render', str(paths[0]), '-o', str(tmp_path / 'pictures')]) == 0
     words = ['train', 'bc', str(tmp_path / 'bags'), '--labels', LABEL_NAMESPACE, '--epochs', '1']

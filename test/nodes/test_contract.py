@@ -19,7 +19,7 @@ from shepherd_ros.sim.lidar import LidarConfig
 from shepherd_ros.sim.presets import world_preset
 from shepherd_ros.sim.tasks import TASKS
 from shepherd_ros.sim.world import SpawnConfig, WorldConfig
-from shepherd_ros.wire.topics import contract
+from shepherd_ros.wire.topics import CLOCK, COMMANDS, contract
 
 CONTRACT, PROFILES = contract()
 pytestmark = pytest.mark.xdist_group('contract')  # one stack for all
@@ -157,6 +157,8 @@ def test_the_depth_of_a_publisher_and_of_a_subscriber_is_that_of_the_contract() 
     for topic in sorted(TOPICS):
         profile = PROFILES[TOPICS[topic].profile]
         assert quality(topic).depth == quality(topic, subscribe=True).depth == profile.depth
+    for topic in (CLOCK, COMMANDS):  # what a recorder that is held up must not miss
+        assert quality(topic).depth >= 10
 
 
 HEADERS = [  # what a user or mux publishes is not there

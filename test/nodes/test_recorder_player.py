@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 import re
 import resource
-from signal import SIGCONT, SIGKILL, SIGSTOP
+from signal import SIGCONT, SIGHUP, SIGKILL, SIGSTOP
 import time
 from typing import Any
 
@@ -336,7 +336,8 @@ def test_every_topic_is_recorded_with_its_type(room: Graph, tmp_path: Path) -> N
     recorder = start_recorder(room, tmp_path / 'bag', '--all')
     until_recorded(room, recorder, '/rosout', '/diagnostics')
     room.until_status('recorder: recorder', 'recording')
-    assert recorder.stop() == 0, recorder
+    assert recorder.stop(SIGHUP) == 0, recorder
+    assert (tmp_path / 'bag' / 'metadata.yaml').is_file()
     bag = open_bag(tmp_path / 'bag')
     assert bag.topics['/rosout'].type == 'rcl_interfaces/msg/Log'
     assert bag.topics['/rosout'].type_hash.startswith('RIHS01_')

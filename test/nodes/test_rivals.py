@@ -27,10 +27,12 @@ def goal_at(x: float) -> PoseStamped:
 def test_two_worlds_on_the_same_topics_are_named_by_all_who_hear_them(graph: Graph) -> None:
     graph.listen_to_logs()
     graph.host('flock_sim', **SMALL)
-    graph.host('metrics')
+    graph.host('metrics', use_sim_time=True)
     other = graph.host('flock_sim', '-r', '__node:=other', **SMALL)
     for name in ('flock_sim', 'metrics', 'other'):
-        status = graph.until_status(f'{name}: inputs', 'several nodes publish .*/flock/poses')
+        status = graph.until_status(
+            f'{name}: inputs', 'several nodes publish /clock, .*/flock/poses'
+        )
         assert status.level == status.ERROR
     pattern = r'/flock/poses is published by 2 nodes \(/flock_sim, /other\), expected one: stop'
     graph.until(lambda: len(graph.warnings(pattern)) == 3, 'each says it once')
@@ -40,14 +42,19 @@ def test_two_worlds_on_the_same_topics_are_named_by_all_who_hear_them(graph: Gra
 
 def test_a_stranger_that_moves_the_goal_is_named_and_put_right(graph: Graph) -> None:
     graph.listen_to_logs()
-    sim, controller = graph.host('flock_sim', **SMALL), graph.host('strombom')
+    # neither the next episode nor a silent shepherd makes the world say its goal again
+    sim = graph.host('flock_sim', episode_steps=10**6, silence_warning=1000.0, **SMALL)
+    controller = graph.host('strombom')
     graph.until(lambda: controller.listener.states > 3, 'the world moves')
     stranger = graph.publisher('goal', PoseStamped, LATCHED)
     stranger.publish(goal_at(math.nan))
     graph.until(lambda: graph.warnings('goal is nan, 0.0: expected finite numbers'), 'refused')
     assert controller.listener.goal.tolist() == sim.state.goal.tolist()
-    stranger.publish(goal_at(500.0))
     graph.until(lambda: graph.warnings('/goal is published by .*/probe'), 'the stranger is named')
+    rivals = {'/goal': ['/flock_sim', '/probe']}
+    graph.until(lambda: sim.rivals == rivals, 'the world has found it, and says its goal again')
+    stranger.publish(goal_at(500.0))
+    graph.until(lambda: controller.listener.goal.tolist() == [500.0, 0.0], 'it is believed')
     graph.node.destroy_publisher(stranger)
     graph.until(
         lambda: not sim.rivals and controller.listener.goal.tolist() == sim.state.goal.tolist(),
@@ -101,6 +108,10 @@ def test_a_dead_lidar_is_named_by_the_world_and_by_the_policy(graph: Graph) -> N
     graph.until(lambda: graph.warnings(r'waiting for shepherd_0/scan/sheep \(nobody'), 'said')
     chain = r'shepherd_0/cmd_vel \(/policy, by /shepherd_0/scan/goal \(nobody publishes it\)'
     graph.until_status('flock_sim: commands', chain)
+    graph.publisher('shepherd_0/scan/goal', LaserScan)  # whose scans do not come
+    for who in ('waiting at .*by /', 'waiting for .*'):  # the world and the policy say it again
+        pattern = who + r'shepherd_0/scan/goal \(/probe\)'
+        graph.until(lambda pattern=pattern: graph.warnings(pattern), pattern)
     assert not graph.warnings('_NODE_NAME_UNKNOWN_')
 
 

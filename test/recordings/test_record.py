@@ -29,7 +29,9 @@ def test_a_bag_has_the_states_scans_and_commands_of_the_environment(tmp_path: Pa
     config, controller = EnvConfig(world=WORLD), make_controller('pierson', WORLD)
     record_episodes(config, controller, range(3, 5), tmp_path)
     for seed in (3, 4):
-        bag = open_bag(episode_folder(tmp_path, seed))
+        folder = episode_folder(tmp_path, seed)
+        bag, names = open_bag(folder), {path.name for path in folder.iterdir()}
+        assert names == {f'{folder.name}_0.mcap', 'metadata.yaml'}
         assert check_bag(bag, ('scans', 'commands')).ok
         (episode,) = iter_episodes(bag)
         assert (episode.seed, len(episode.frames)) == (seed, 13)

@@ -177,8 +177,13 @@ def type_name(kind: Any) -> str:
     return f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'
 
 
-def speak(nodes: list[ShepherdNode], rng: random.Random, count: int) -> None:
-    """Let the nodes hear so many messages, and run their timers from time to time."""
+def speak(nodes: list[ShepherdNode], rng: random.Random, count: int) -> int:
+    """
+    Let the nodes hear so many messages, and run their timers from time to time.
+
+    Return how many bytes they have heard.
+    """
+    total = 0  # [bytes]
     for k in range(count):
         if k % 50 == 0:
             received = ears(nodes)
@@ -190,7 +195,10 @@ def speak(nodes: list[ShepherdNode], rng: random.Random, count: int) -> None:
                     timer.callback()
                 assert not node.finished, node.get_name()
         kind, deliver = rng.choice(received)
-        deliver(mutated(well_formed(kind, rng), rng))
+        raw = mutated(well_formed(kind, rng), rng)
+        total += len(raw)
+        deliver(raw)
+    return total
 
 
 def resident() -> float:
@@ -206,8 +214,9 @@ def main() -> None:
         rng = random.Random(seed)
         speak(nodes, rng, count // 4)
         before = resident()
-        speak(nodes, rng, count - count // 4)
-        print(json.dumps({'heard': count, 'grown_mib': round(resident() - before, 1)}))
+        mib = speak(nodes, rng, count - count // 4) / 2**20
+        numbers = {'mib': round(mib, 1), 'grown_mib': round(resident() - before, 1)}
+        print(json.dumps({'heard': count, 'since_the_first_quarter': numbers}))
 
 
 if __name__ == '__main__':

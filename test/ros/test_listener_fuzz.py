@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from contextlib import suppress
+import gc
 import json
 from pathlib import Path
 import random
+import tracemalloc
+from types import SimpleNamespace
 
 from geometry_msgs.msg import PoseArray
 from jsonschema import Draft202012Validator
 from nodes.process import Graph
 import pytest
-from ros.fuzz import episode, listening, resident, speak
+from ros.fuzz import episode, listening, speak
 from shepherd_ros.config import ConfigError
 from shepherd_ros.resources import share_file
 from shepherd_ros.sim.world import WorldConfig
@@ -25,9 +28,14 @@ def test_no_message_ends_a_node_and_memory_stays_flat(
     with listening(tmp_path) as nodes:
         rng = random.Random(0)
         speak(nodes, rng, 1000)
-        before = resident()
-        speak(nodes, rng, 2000)
-        assert resident() - before < 100, 'MiB for 2000 messages'
+        tracemalloc.start()
+        traced = []
+        for _ in range(2):
+            total = speak(nodes, rng, 1000)
+            _ = gc.collect()
+            traced.append(tracemalloc.get_traced_memory()[0])
+        tracemalloc.stop()
+        assert traced[1] - traced[0] < total / 3, 'the index of the bag grows, and nothing else'
         assert sum(node.unreadable.total() for node in nodes) > 100
 
 
@@ -55,3 +63,19 @@ def test_what_cannot_be_read_is_dropped_counted_and_warned_of(graph: Graph) -> N
     graph.until(lambda: graph.warnings('flock/poses has a message that cannot be read'), 'said')
     status = graph.until_status('metrics: inputs', 'cannot be read: flock/poses')
     assert (status.level, status.values[0].value) == (b'\1', '2')
+
+
+def test_a_flood_of_what_cannot_be_read_is_logged_at_intervals(
+    graph: Graph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node, logged = graph.host('metrics'), list[float]()
+    logger = SimpleNamespace(
+        warning=lambda text, *, throttle_duration_sec: logged.append(throttle_duration_sec)
+    )
+    monkeypatch.setattr(node, 'get_logger', lambda: logger)
+    (poses,) = (s for s in node.subscriptions if s.topic_name == '/flock/poses')
+    for _ in range(100):
+        poses.callback(b'\0\1\0\0ab')
+    assert node.unreadable == {'flock/poses': 100}
+    assert len(logged) == 100
+    assert min(logged) >= 1.0

@@ -18,7 +18,10 @@ SENSELESS: list[dict[str, Any]] = [
     {'number': None}, {'seed': 'x'}, {'n_sheep': 0}, {'n_sheep': 10**6}, {'n_shepherds': -1},
     {'start': {}}, {'start': {'sec': -1, 'nanosec': 0}}, {'world': {}}, {'world': 3},
     {'world': {'dt': 0.0, 'episode_steps': 4}}, {'world': {'dt': 1e400, 'episode_steps': 4}},
-    {'world': {'dt': 0.5, 'episode_steps': 10**9}}, {'seed': 2**63},
+    {'world': {'dt': 0.5, 'episode_steps': 10**9}}, {'seed': 2**63}, {'seed': 2**70},
+    {'n_sheep': -1}, {'n_sheep': 10**4000}, {'start': {'sec': 'a' * 4000, 'nanosec': 0}},
+    {'goal_radius': math.nan}, {'goal_radius': 0.0}, {'goal_radius': 10**400}, {'mode': 'turbo'},
+    {'start': {'sec': 1.5, 'nanosec': 0}}, {'start': {'sec': 1, 'nanosec': 0.0}},
     {'frame_id': ''}, {'version': 'new'}, {'version': ''}, {'schema': True}, {'schema': 0},
 ]  # fmt: skip
 
@@ -128,6 +131,6 @@ def test_numbers_at_their_limits_are_taken_and_those_beyond_refused() -> None:
 
 
 def test_a_text_that_is_no_episode_is_refused() -> None:
-    for text in ['', '{', 'null', '[]', '"x"', '[' * 100_000, '{"number": 1}']:
+    for text in ['', '{', 'null', '[]', '"x"', '[' * 100_000, '{"number": 1}', '9' * 5_000]:
         with pytest.raises(ConfigError, match='cannot be read'):
             Episode.from_json(text)

@@ -21,7 +21,7 @@ class Herding(Task):
     """No options: those of the start are in SpawnConfig."""
 
     name = 'herding'
-    meaning = 'bring the flock into the goal'
+    meaning = 'herd the flock into the goal'
     terms = ('occupancy', 'shaping')
     metrics = METRICS
     achieved = 'fraction_in_goal'
