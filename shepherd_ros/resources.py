@@ -8,6 +8,18 @@ import shutil
 import sys
 
 PACKAGE = 'shepherd_ros'
+INSTALLS = {  # what pip is told of modules with another name
+    'PIL': 'pillow', 'foxglove': 'foxglove-sdk', 'rclpy': "'shepherd_ros[jazzy]'",
+    'yaml': 'pyyaml',
+}  # fmt: skip
+
+
+def missing_package(error: ModuleNotFoundError) -> str:
+    """Return what to install where an import fails; raises the error for modules of ours."""
+    module = (error.name or PACKAGE).partition('.')[0]
+    if module == PACKAGE:
+        raise error
+    return f'{module} is not installed: pip install {INSTALLS.get(module, module)}'
 
 
 def is_installed(package: str) -> bool:

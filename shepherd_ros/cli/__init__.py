@@ -11,6 +11,7 @@ from typing import Any
 from shepherd_ros import __version__
 from shepherd_ros.cli.user_error import UserError
 from shepherd_ros.config import ConfigError
+from shepherd_ros.resources import missing_package
 
 __all__ = ['code', 'main', 'processes', 'train_help', 'train_verbs']
 
@@ -121,6 +122,9 @@ def main(arguments: list[str] | None = None) -> int:
         return int(verb.run())
     except (UserError, ConfigError) as error:
         print(f'shepherd: {error}', file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as error:
+        print(f'shepherd: {missing_package(error)}', file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130

@@ -11,6 +11,8 @@ from importlib import import_module
 import signal
 import sys
 
+from shepherd_ros.resources import missing_package
+
 FILES = {  # of all executables but those of single controllers
     'flock_sim': 'flock_node',
     'lidar': 'lidar_node',
@@ -24,7 +26,6 @@ FILES = {  # of all executables but those of single controllers
     'console': 'console_node',
     'foxglove': 'foxglove_node',
 }
-PACKAGES = {'foxglove': 'foxglove-sdk'}  # modules that come with extras of their names
 
 
 def names() -> list[str]:
@@ -44,14 +45,7 @@ def __getattr__(name: str) -> Callable[[], int]:
         try:
             file = import_module(f'shepherd_ros.nodes.{FILES.get(name, "heuristic_node")}')
         except ModuleNotFoundError as error:
-            if error.name not in PACKAGES:
-                raise
-            package = PACKAGES[error.name]
-            print(
-                f'{name}: {package} is not installed: pip install {package}, or '
-                f"'shepherd_ros[{error.name}]'",
-                file=sys.stderr,
-            )
+            print(f'{name}: {missing_package(error)}', file=sys.stderr)
             return 2
         return int((file.main if name in FILES else getattr(file, name))())
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from rosbag2.tiny import tiny_bag
-from shepherd_ros import __version__
+from shepherd_ros import __version__, cli
 from shepherd_ros.cli import main
 from shepherd_ros.cli.demo_verb import Demo
 from shepherd_ros.experiments.setting import env_config, Setting
@@ -25,6 +25,30 @@ import torch
 def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['--version']) == 0
     assert capsys.readouterr().out == f'shepherd_ros {__version__}\n'
+
+
+@pytest.mark.parametrize(
+    ('module', 'message'),
+    [
+        ('torch.nn', 'torch is not installed: pip install torch'),
+        ('foxglove', 'foxglove is not installed: pip install foxglove-sdk'),
+        ('rclpy', "rclpy is not installed: pip install 'shepherd_ros[jazzy]'"),
+    ],
+)
+def test_a_package_that_is_missing_is_named(
+    module: str, message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def missing(*arguments: Any) -> Any:
+        raise ModuleNotFoundError(f'No module named {module!r}', name=module)
+
+    monkeypatch.setattr(cli, 'all_verbs', missing)
+    monkeypatch.setattr(executables, 'import_module', missing)
+    monkeypatch.setattr(executables.signal, 'signal', lambda *arguments: None)
+    assert (main(['bag', 'info']), executables.foxglove()) == (2, 2)
+    assert capsys.readouterr().err == f'shepherd: {message}\nfoxglove: {message}\n'
+    module = 'shepherd_ros.nothing'  # is a fault of ours
+    with pytest.raises(ModuleNotFoundError, match='nothing'):
+        main(['bag', 'info'])
 
 
 def test_the_demo_counts_its_metrics_from_every_state_that_it_has_heard() -> None:
