@@ -11,8 +11,6 @@ from importlib import import_module
 import signal
 import sys
 
-from shepherd_ros.resources import missing_package
-
 FILES = {  # of all executables but those of single controllers
     'flock_sim': 'flock_node',
     'lidar': 'lidar_node',
@@ -45,6 +43,8 @@ def __getattr__(name: str) -> Callable[[], int]:
         try:
             file = import_module(f'shepherd_ros.nodes.{FILES.get(name, "heuristic_node")}')
         except ModuleNotFoundError as error:
+            from shepherd_ros.resources import missing_package  # setup.py runs this file alone
+
             print(f'{name}: {missing_package(error)}', file=sys.stderr)
             return 2
         return int((file.main if name in FILES else getattr(file, name))())
