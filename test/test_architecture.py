@@ -278,6 +278,11 @@ def test_setup_names_what_is_imported(distribution: Any) -> None:
     assert 'pytest' in extras['test']  # by which colcon knows that there are tests to run
 
 
+def test_setup_runs_what_needs_no_package() -> None:
+    early = imports(tree(ROOT / 'shepherd_ros/nodes/executables.py'), lazy=False)
+    assert {name.partition('.')[0] for name in early} <= sys.stdlib_module_names
+
+
 def test_versions_agree(manifest: Any, distribution: Any) -> None:
     assert manifest.version == shepherd_ros.__version__ == distribution.get_version()
     changes = (ROOT / 'CHANGELOG.rst').read_text(encoding='utf-8')
