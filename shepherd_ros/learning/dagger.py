@@ -12,6 +12,7 @@ from typing import Any
 
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers.composite import HOME, WORD
+from shepherd_ros.controllers.policy_controller import sample_noise
 from shepherd_ros.learning.clone import CloneLearner, Examples
 from shepherd_ros.learning.dagger_bags import DaggerBags
 from shepherd_ros.learning.dagger_config import DaggerConfig
@@ -67,7 +68,7 @@ class LabelledWorlds:
         moment = self.group.moment
         state, world = moment.state, moment.config.world
         name = self.config.teacher_of(model_of(world.flock).name)
-        self.teacher = make_teacher(name, world)
+        self.teacher = make_teacher(name, world, self.config.teacher_goal_max)
         self.taught = self.teacher.begin(state)
         if self.policy.config.network.modes == 2 and HOME not in self.taught:
             raise ConfigError(
@@ -78,14 +79,18 @@ class LabelledWorlds:
         self.learned = inference.begin(self.policy, self.timing, (worlds,), team, self.dtype)
 
     def _command(self, moment: Moment) -> Tensor:
-        """Return the learner's commands, (B, H, 2) m/s."""
+        """Return the learner's commands, (B, H, 2) m/s: by samples, if its policy acts so."""
+        state, std = moment.state, self.policy.config.sample_std
+        team = state.shepherds.shape[-2]
         command, self.learned = inference.act(
             self.policy,
             self.timing,
             lambda: moment.ranges,
-            moment.state.shepherd_mask,
+            state.shepherd_mask,
             self.learned,
             moment.config.world.shepherd_speed,
+            (lambda: sample_noise(state.seed, state.step, team)) if std else None,
+            std=std,
         )
         return command
 

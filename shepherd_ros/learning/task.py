@@ -9,6 +9,7 @@ from typing import ClassVar
 from shepherd_ros.config import ConfigError, option, part
 from shepherd_ros.registry import Extended
 from shepherd_ros.sim.flocking import FLOCK_MODELS, PAPER_FLOCKS
+from shepherd_ros.sim.goal_motion import GOAL_PATHS
 from shepherd_ros.sim.presets import home_world, training_world, world_preset
 from shepherd_ros.sim.reward import RewardConfig
 from shepherd_ros.sim.rng import Stream, uniform
@@ -55,6 +56,12 @@ class TaskConfig(Extended):
     noise_max: float = option(0.0, 'highest noise on perceived positions [m]', low=0)
     noise_free_share: float = option(
         0.0, 'share of episodes without that noise', low=0.0, high=1.0
+    )
+    goal_speed_max: float = option(
+        0.0, 'highest speed of a goal [m/s]; 0: as in the world of the task', low=0.0
+    )
+    goal_still_share: float = option(
+        0.5, 'of episodes with goals of any speed, share whose goal stands', low=0.0, high=1.0
     )
     team_exponent: float = option(
         0.0,
@@ -120,11 +127,15 @@ def draw_environment(task: TaskConfig, seed: int) -> EnvConfig:
         ratio = (task.sheep_max + 1) / task.sheep_min
         sheep = min(int(task.sheep_min * ratio**share), task.sheep_max)
     noise = 0.0 if draw.random() < task.noise_free_share else noise
+    still, speed = draw.random() < task.goal_still_share, draw.uniform(0.0, task.goal_speed_max)
+    path = draw.choice(GOAL_PATHS)
     base = base_world(task, flock if task.flock == 'both' else task.flock)
     base = near_home(base, task) if at_home else base
     weight = base.flock.repulsion_option
     flock_config = replace(base.flock, **({weight: repulsion} if weight else {}))
     world = replace(base, n_sheep=sheep, flock=flock_config)
+    if task.goal_speed_max:
+        world = replace(world, goal_speed=0.0 if still else speed, goal_path=path)
     return EnvConfig(noise_std=noise, world=world, reward=task.reward)
 
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
+from dataclasses import replace
+
 from shepherd_ros.policy.policy import Policy
 import torch
+from torch import nn
 
 
 def warm_start(policy: Policy, source: Policy, new_critic: bool = False) -> None:
@@ -24,3 +28,18 @@ def warm_start(policy: Policy, source: Policy, new_critic: bool = False) -> None
         own = {f'critic.{name}': value for name, value in policy.critic.state_dict().items()}
         state = {name: own.get(name, value) for name, value in state.items()}
     policy.load_state_dict(state)
+
+
+def drive_mode(policy: Policy) -> Policy:
+    """Return a policy with the drive mode alone of one with two modes, others as they are."""
+    if policy.config.network.modes == 1:
+        return policy
+    single = deepcopy(policy)
+    single.config = replace(policy.config, network=replace(policy.config.network, modes=1))
+    actor, head = single.actor, single.actor.head
+    actor.config, head.out_features = single.config.network, actor.width
+    head.weight = nn.Parameter(head.weight.detach()[: actor.width])
+    head.bias = nn.Parameter(head.bias.detach()[: actor.width])
+    if 'log_std' in dict(actor.named_parameters()):
+        actor.log_std = nn.Parameter(actor.log_std.detach()[0])
+    return single
