@@ -11,7 +11,6 @@ import pytest
 from shepherd_ros.config import ConfigError
 from shepherd_ros.controllers import make_controller
 from shepherd_ros.controllers.composite import HOME
-from shepherd_ros.controllers.policy_controller import LearnedConfig, LearnedController
 from shepherd_ros.datasets.dataset_report import Report
 from shepherd_ros.datasets.steps import Steps
 from shepherd_ros.learning.bag_modes import holding
@@ -31,11 +30,9 @@ from shepherd_ros.policy.torchscript import export_actor
 from shepherd_ros.policy.warm_start import warm_start
 from shepherd_ros.recordings.record import record_episodes
 from shepherd_ros.sim.lidar import LidarConfig
-from shepherd_ros.sim.observation import ObservationConfig, rotate_by_ray
+from shepherd_ros.sim.observation import rotate_by_ray
 from shepherd_ros.sim.presets import home_world
 from shepherd_ros.sim.rollout import EnvConfig
-from shepherd_ros.sim.spawn import spawn
-from shepherd_ros.sim.transition import step
 from shepherd_ros.sim.world import WorldConfig
 import torch
 
@@ -242,27 +239,6 @@ def test_held_out_bags_judge_a_clone_by_hand() -> None:
     assert [k for k in range(10) if is_held_out(k, 0.2)] == [4, 9]
     with pytest.raises(ConfigError, match='expected more with offline'):
         BCConfig(offline=True)
-
-
-def test_a_policy_that_teaches_decides_at_every_step(tmp_path: Path) -> None:
-    world = WorldConfig(n_sheep=6, n_shepherds=2)
-    observation = ObservationConfig(frame_interval=2.0)
-    config = replace(CONFIG, decision_interval=2.0, observation=observation)
-    save_policy(tmp_path / 'held.safetensors', policy_of(config), {})
-    word = f'policy:{tmp_path / "held.safetensors"}'
-    each = replace(config, decision_interval=0.5)  # frames as far apart as before
-    alone = LearnedController(LearnedConfig(), world, policy_of(each))
-    teachers = [make_teacher(w, world) for w in (word, f'composite:{word},idle,0,0')]
-    state = spawn(world, torch.arange(3))
-    memories = [law.begin(state) for law in (alone, *teachers)]
-    for _ in range(7):
-        commands = []
-        for k, law in enumerate((alone, *teachers)):
-            command, memories[k] = law.act(state, memories[k])
-            commands.append(command)
-        assert torch.equal(commands[0], commands[1])
-        assert torch.equal(commands[0], commands[2])
-        state = step(state, commands[0], world)
 
 
 def test_ppo_learns_of_the_mode_that_acted_and_leaves_the_gate_alone() -> None:
