@@ -78,7 +78,15 @@ class RunFolder:
                 'the folder'
             )
         self._lock()
-        if stored != config:
+        try:
+            self._begin(run_file, is_new=stored != config)
+        except ConfigError:
+            self.close()
+            raise
+
+    def _begin(self, run_file: Path, is_new: bool) -> None:
+        """Write a new configuration, and read the score of the best policy so far."""
+        if is_new:
             text = json.dumps(self.record, indent=1)
             replace_file(run_file, lambda file: file.write(text.encode()))
         if self.best.exists():

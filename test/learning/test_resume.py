@@ -319,9 +319,10 @@ def test_a_full_disk_is_told_and_leaves_what_was_there(
     with monkeypatch.context() as patch:
         patch.setattr(Path, 'replace', full)
         patch.setattr(ppo_training, 'validate', lambda *arguments: {'score': 1e9})
-        with pytest.raises(ConfigError, match=rf'{name} cannot be written .*No space left'):
+        with pytest.raises(ConfigError, match=rf'{name} cannot be written .*No space') as failure:
             learn('ppo', cut, bags)
     assert learn('ppo', cut, bags) == whole('ppo')[1]
+    assert failure.tb is not None, 'it was alive, and did not hold the lock'
 
 
 def test_a_learner_that_is_broken_is_told_and_not_kept(tmp_path: Path, bags: Path) -> None:
