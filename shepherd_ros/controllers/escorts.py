@@ -37,22 +37,20 @@ class WedgeConfig(EscortConfig):
 
 
 @dataclass(frozen=True)
-class InterceptConfig(EscortConfig):
+class InterceptConfig(Config):
     """Options of the interception."""
 
-    horizon: float = option(30.0, 'pedestrians that arrive within this time count [s]', low=0.0)
+    horizon: float = option(4.0, 'pedestrians that arrive within this time count [s]', low=0.0)
     clearance: float = option(1.2, 'arrive: come so near to the rim of the region [m]', low=0.0)
     approach: float = option(0.9, 'distance to a pedestrian at which it is met [m]', low=0.0)
     pace: float = option(0.35, 'speed that a pedestrian is taken to have [m/s]', low=0.0)
-    spacing: float = option(
-        2.1, 'largest angle between places without a pedestrian, around the course [rad]', low=0.0
+    rest: float = option(
+        1.0, 'distance to the middle of the payload without a pedestrian [m]', low=0.0
     )
 
 
 class Escorts(Controller):
     """Escorts that go to places at the next step's payload at their top speed."""
-
-    config: EscortConfig
 
     def act(self, state: WorldState, memory: Memory) -> tuple[Tensor, Memory]:
         """Return velocities toward the places, (..., H, 2) m/s, and memory, which stays empty."""
@@ -169,7 +167,7 @@ class InterceptController(Escorts):
     Each escort close to the pedestrian that enters the region next, on its side of the payload.
 
     Who enters follows from constant velocities of pedestrians and payload. Escorts without one
-    stand around the payload, most of them ahead.
+    stay close to the middle of the payload, on their side of it.
     """
 
     name = 'intercept'
@@ -186,9 +184,8 @@ class InterceptController(Escorts):
         reach = (distance - self.config.approach).clamp(min=BODY)
         place = reach[..., None] * unit(offset)
         urgency = torch.where(state.sheep_mask, self.arrival(state, payload), torch.inf)
-        spacing = even(state).clamp(max=self.config.spacing)
-        others = self.on_arc(state, spacing, self.config.margin)
         escorts = state.shepherds - payload[..., None, :]
+        others = self.config.rest * unit(escorts)
         return met(place, urgency, others, escorts, state.shepherd_mask)
 
     def arrival(self, state: WorldState, payload: Tensor) -> Tensor:
