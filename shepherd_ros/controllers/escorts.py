@@ -1,5 +1,5 @@
 """
-Escorts by rule, to compare with: a static ring, a wedge, a greedy block and an interception.
+Escorts by rule, to compare with: ring, wedge, greedy block, huddle and interception.
 
 All move with the payload: their places are those of the next step.
 """
@@ -44,9 +44,6 @@ class InterceptConfig(Config):
     clearance: float = option(1.2, 'arrive: come so near to the rim of the region [m]', low=0.0)
     approach: float = option(0.9, 'distance to a pedestrian at which it is met [m]', low=0.0)
     pace: float = option(0.35, 'speed that a pedestrian is taken to have [m/s]', low=0.0)
-    rest: float = option(
-        1.0, 'distance to the middle of the payload without a pedestrian [m]', low=0.0
-    )
 
 
 class Escorts(Controller):
@@ -162,18 +159,33 @@ class BlockController(Escorts):
 
 
 @CONTROLLERS.add
+class HuddleController(Escorts):
+    """All escorts at the middle of the payload, which no rule of the world keeps them out of."""
+
+    name = 'huddle'
+    config_type = Config
+    label = 'huddle'
+    order = 23
+    style = ('#D55E00', ':', 'h')
+
+    def places(self, state: WorldState, payload: Tensor) -> Tensor:
+        """Return the places, (..., H, 2) m."""
+        return torch.zeros_like(state.shepherds)
+
+
+@CONTROLLERS.add
 class InterceptController(Escorts):
     """
     Each escort close to the pedestrian that enters the region next, on its side of the payload.
 
     Who enters follows from constant velocities of pedestrians and payload. Escorts without one
-    stay close to the middle of the payload, on their side of it.
+    stay at the middle of the payload.
     """
 
     name = 'intercept'
     config_type = InterceptConfig
     label = 'interception'
-    order = 23
+    order = 24
     style = ('#CC79A7', (0, (3, 1, 1, 1)), 'D')
     config: InterceptConfig
 
@@ -185,8 +197,7 @@ class InterceptController(Escorts):
         place = reach[..., None] * unit(offset)
         urgency = torch.where(state.sheep_mask, self.arrival(state, payload), torch.inf)
         escorts = state.shepherds - payload[..., None, :]
-        others = self.config.rest * unit(escorts)
-        return met(place, urgency, others, escorts, state.shepherd_mask)
+        return met(place, urgency, torch.zeros_like(escorts), escorts, state.shepherd_mask)
 
     def arrival(self, state: WorldState, payload: Tensor) -> Tensor:
         """

@@ -13,7 +13,7 @@ from shepherd_ros.experiments.setting import Setting
 OF_THE_PAPER = ('fig4', 'fig5', 'fractions', 'fig6', 'fig7', 'fig8')
 QUICK_EPISODES = 50  # of each cell of the short forms: one batch
 BASELINES = ('strombom', 'pierson')
-ESCORTS = ('policy:escort', 'intercept', 'block', 'wedge', 'ring', 'idle')
+ESCORTS = ('policy:escort', 'intercept', 'huddle', 'block', 'wedge', 'ring', 'idle')
 PAPER_CONTROLLERS = ('policy', *BASELINES, 'drover')
 FIGURE_4 = ('completion_time', 'shepherd_path_length', 'flock_spread', 'flock_path_length')
 PROTECTED = ('clean_success', 'success')
