@@ -154,8 +154,6 @@ def stack_in(
     flock_sim = {
         'task': setting.task, 'flock': setting.flock, 'preset': setting.preset, **flock_sim
     }  # fmt: skip
-    if setting.task == 'herding':
-        del flock_sim['task']
     changes = _own_lidar(controller, flock_sim) | changes_of(setting)
     stack = herding_stack(controller, setting.shepherds, changes, **flock_sim)
     others = [_seeing(controller_process(word, flock_sim), changes) for word in standby]

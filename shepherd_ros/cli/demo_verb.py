@@ -28,16 +28,14 @@ if TYPE_CHECKING:
 DEMO_TIMEOUT = 60.0  # [s] wall time without any news before giving up
 
 
-def progress_text(metrics: dict[str, float]) -> str:
-    """Return what the progress of a demo says: the metrics of this moment."""
-    if 'fraction_in_goal' in metrics:
-        return (
-            f'{metrics["fraction_in_goal"]:4.0%} in goal, flock '
-            f'{metrics["goal_distance"]:5.1f} m from its center'
-        )
-    return ', '.join(f'{name.replace("_", " ")} {value:.3g}' for name, value in metrics.items())[
-        :60
-    ]
+def progress_text(task: str, metrics: dict[str, float]) -> str:
+    """Return what the progress of a demo says of this moment, '' until all of it is heard."""
+    from shepherd_ros.sim.tasks import TASKS
+
+    try:
+        return TASKS[task].progress.format_map(metrics)
+    except KeyError:
+        return ''
 
 
 @dataclass(kw_only=True)
@@ -127,9 +125,8 @@ class Demo(OneSetting):
             processes.start(stack[-1:])
 
             def done() -> bool:
-                metrics = probe.metrics
-                text = f'step {max(probe.step, 0)} of {steps}, {progress_text(metrics)}'
-                show(max(probe.step, 0), text=text)
+                now = progress_text(setting.task, probe.metrics)
+                show(max(probe.step, 0), text=f'step {max(probe.step, 0)} of {steps}, {now}')
                 return processes.ended('flock_sim')
 
             self._until(done, processes, probe, spin)

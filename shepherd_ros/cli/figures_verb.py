@@ -43,7 +43,10 @@ class Figures:
     set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """PATH=VALUE that the rows were made with (repeatable)."""
     report: bool = False
-    """Also write a verdict on each statement: README.md, a page a figure, verdicts.json."""
+    """
+    Also write a verdict on each statement: README.md, a page a figure, verdicts.json;
+    protection.md of rows of payload protection.
+    """
     command: str = 'shepherd figures'
     """What the page says it was made by."""
     overwrite: bool = False
@@ -87,6 +90,8 @@ class Figures:
             print(*save(figure, self.out, name))
         if self.report and judged:
             self._report(judged, beyond, list(pictures), rows)
+        if self.report:
+            self._report_protection(beyond, list(pictures), rows)
         return 0
 
     def _samples(self, rows: Results) -> dict[str, dict[str, Samples]]:
@@ -161,6 +166,7 @@ class Figures:
         from shepherd_ros.paper.report import front_page
         from shepherd_ros.paper.verdict_tables import TITLES
 
+        beyond = {n: s for n, s in beyond.items() if s.settings[0].task == 'herding'}
         causes = read_causes(self.out / 'causes.toml')
         pages = {f'{n}.md': figure_page(n, judged, pictures, causes) for n in TITLES}
         pages['README.md'] = front_page(judged, beyond, pictures, rows, self.command)
@@ -177,6 +183,22 @@ class Figures:
         for name, text in pages.items():
             (self.out / name).write_text(text, encoding='utf-8')
         print(self.out / 'README.md')
+
+    def _report_protection(
+        self, beyond: Mapping[str, Samples], pictures: list[str], rows: Results
+    ) -> None:
+        """Write the page of payload protection, if there are rows of it."""
+        from shepherd_ros.paper.figure_pages import read_causes
+        from shepherd_ros.paper.protection_page import protection_page
+
+        task = 'protection'
+        samples = {name: s for name, s in beyond.items() if s.settings[0].task == task}
+        if samples:
+            causes = read_causes(self.out / 'causes.toml').get('beyond', {})
+            own, path = rows.chosen(task=task), self.out / 'protection.md'
+            text = protection_page(samples, pictures, causes, own, self.command)
+            path.write_text(text, encoding='utf-8')
+            print(path)
 
 
 def varied_presets(rows: Results) -> list[str]:

@@ -171,6 +171,10 @@ class Results:
             mask &= self.columns[name] == value
         return mask
 
+    def chosen(self, **values: Any) -> Results:
+        """Return the rows with these values."""
+        return Results(self.table.filter(pa.array(self.where(**values))))
+
     def in_environment(self, environment: EnvConfig) -> np.ndarray:
         """Return the mask of the rows of this environment, with any length; (rows,) bool."""
         return np.isin(self.columns['key'], self._keys.get(_timeless(environment), []))

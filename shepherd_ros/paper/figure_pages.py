@@ -58,7 +58,8 @@ def figure_page(
         *picture(name, TITLES[name], pictures),
         '## Statements',
         '',
-        f'Preset `{first.preset}`{_episodes(first.samples.get(name))}; RL is {who or "nobody"}.',
+        f'Preset `{first.preset}`{episodes_text(first.samples.get(name))}; '
+        f'RL is {who or "nobody"}.',
         '',
         *number_table(own),
         '',
@@ -93,7 +94,8 @@ def cause_table(outcomes: Sequence[Verdict], causes: Mapping[str, str]) -> list[
     return [*head, *rows] if rows else ['All agree.']
 
 
-def _episodes(samples: Samples | None) -> str:
+def episodes_text(samples: Samples | None) -> str:
+    """Return the number, length and seeds of the episodes, '' without rows."""
     if samples is None:
         return ''
     seeds = f'{samples.seeds[0]} to {samples.seeds[-1]}'

@@ -122,6 +122,21 @@ def at(method: str, metric: str, x: float) -> Quantity:
     return lambda s: s.at(method, metric, x)
 
 
+def difference_at(method: str, other: str, metric: str, x: float) -> Quantity:
+    """Return the mean of a method less that of another, at one point."""
+    return lambda s: s.at(method, metric, x) - s.at(other, metric, x)
+
+
+def at_less(method: str, metric: str, x: float, other: float) -> Quantity:
+    """Return the mean at one point less that at another."""
+    return lambda s: s.at(method, metric, x) - s.at(method, metric, other)
+
+
+def smallest_difference(method: str, other: str, metric: str) -> Quantity:
+    """Return the smallest mean over the axis of a method less that of another."""
+    return lambda s: (s.mean(method, metric) - s.mean(other, metric)).min(axis=0)
+
+
 def average(method: str, metric: str) -> Quantity:
     """Return the mean over the axis."""
     return lambda s: s.mean(method, metric).mean(axis=0)

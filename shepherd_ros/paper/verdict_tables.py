@@ -30,6 +30,11 @@ TITLES = {
     'fig9': 'Figure 9: value of a third shepherd',
 }
 
+OF_THE_PAPER = (
+    'the paper states', 'verdict', 'number', 'ours', 'agrees if', 'verdict', 'by bounds alone',
+    'until home',
+)  # fmt: skip
+
 # of several statements
 PLURALS = {
     AGREES: 'agree',
@@ -89,13 +94,10 @@ def finding_text(finding: ClauseFinding) -> str:
     return f'{text}; {finding.reason}' if finding.reason else text
 
 
-def number_table(outcomes: Sequence[Verdict]) -> list[str]:
-    """Return the table of the numbers of statements, each with its interval and verdict."""
-    lines = [
-        '| the paper states | verdict | number | ours | agrees if | verdict | by bounds alone '
-        '| until home |',
-        '|---|---|---|--:|--:|---|---|---|',
-    ]
+def number_table(outcomes: Sequence[Verdict], columns: Sequence[str] = OF_THE_PAPER) -> list[str]:
+    """Return the table of the numbers of statements, as many columns of it as have a title."""
+    marks = ('---', '---', '---', '--:', '--:', '---', '---', '---')[: len(columns)]
+    lines = [f'| {" | ".join(columns)} |', f'|{"|".join(marks)}|']
     for outcome in outcomes:
         pairs = zip(outcome.findings, outcome.until_completion, strict=True)
         for k, (finding, other) in enumerate(pairs):
@@ -103,7 +105,7 @@ def number_table(outcomes: Sequence[Verdict]) -> list[str]:
             until = f'{finding_text(other)}, {other.verdict}' if other else ''
             cells = [*first, finding.clause.text, finding_text(finding), bounds(finding.clause)]
             cells += [finding.verdict, finding.strict, until]
-            lines.append(f'| {" | ".join(cells)} |')
+            lines.append(f'| {" | ".join(cells[: len(columns)])} |')
     return lines
 
 

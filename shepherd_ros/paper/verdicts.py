@@ -56,11 +56,13 @@ def counts(outcomes: Sequence[Verdict]) -> dict[str, int]:
     return {kind: found[kind] for kind in VERDICTS}
 
 
-def verdicts_on_samples(samples: Samples, primary: str) -> list[Verdict]:
+def verdicts_on_samples(
+    samples: Samples, primary: str, claims: Sequence[Claim] = CLAIMS
+) -> list[Verdict]:
     """Return the verdicts on an experiment: with the primary policy, then with each variant."""
     outcomes: dict[tuple[str, str], Verdict] = {}
     variants = [policy for policy in samples.policies if policy != primary]
-    for claim in CLAIMS:
+    for claim in claims:
         if claim.experiment != samples.experiment.name:
             continue
         for policy in (primary, *variants):

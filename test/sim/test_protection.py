@@ -248,7 +248,7 @@ def test_rings_wedges_and_blocks_stand_where_they_should() -> None:
     assert torch.equal(places('block', leaving), places('ring', leaving))
 
 
-@pytest.mark.parametrize('name', ['ring', 'wedge', 'block', 'intercept'])
+@pytest.mark.parametrize('name', ['ring', 'wedge', 'block', 'huddle', 'intercept'])
 def test_escorts_of_a_batch_command_as_alone_and_the_absent_stand(name: str) -> None:
     world = replace(WORLD, n_shepherds=4, spawn=replace(WORLD.spawn, fewest_shepherds=1))
     state, law = spawn(world, SEEDS), make_controller(name, world)
@@ -268,26 +268,26 @@ def test_an_interception_meets_the_pedestrian_that_arrives_next() -> None:
     world = replace(WORLD, n_shepherds=1, n_sheep=3, goal_speed=0.0, shepherd_speed=1000.0)
     law = make_controller('intercept', world)
     assert isinstance(law, InterceptController)
-    at, to = [(0.0, 10.0), (-8.0, 0.0), (4.0, 4.0)], [(0.0, -1.0), (1.0, 0.0), (1.0, 0.0)]
+    at, to = [(0.0, 4.4), (-4.0, 0.0), (4.0, 4.0)], [(0.0, -1.0), (1.0, 0.0), (1.0, 0.0)]
     state = replace(placed(*at), heading=torch.tensor(to, dtype=torch.float64))
     times = law.arrival(state, state.goal)  # at 0.35 m/s, to 1.2 m from a region of 2 m
-    assert times.tolist() == pytest.approx([(10 - 3.2) / 0.35, (8 - 3.2) / 0.35, math.inf])
+    assert times.tolist() == pytest.approx([(4.4 - 3.2) / 0.35, (4 - 3.2) / 0.35, math.inf])
 
     def place(seen: WorldState) -> list[float]:
         return (seen.shepherds + law.act(seen, {})[0] * 0.5)[0].tolist()
 
-    assert place(state) == pytest.approx([-(8 - 0.9), 0.0])
-    near = replace(state, sheep=state.sheep * 0.2)
-    first, second, _ = law.arrival(near, near.goal).tolist()  # 2 and 1.6 m from the middle
+    assert place(state) == pytest.approx([-(4 - 0.9), 0.0])
+    near = replace(state, sheep=state.sheep * 0.4)
+    first, second, _ = law.arrival(near, near.goal).tolist()  # 1.8 and 1.6 m from the middle
     assert second < first < 0
     away = replace(state, heading=-state.heading)
     assert law.arrival(away, away.goal).tolist() == [math.inf, math.inf, math.inf]
-    assert place(away) == pytest.approx([2 + 1.5, 0.0])  # ahead of the payload
+    assert place(away) == pytest.approx([0.0, 0.0])  # the middle of the payload
     moving = replace(world, goal_speed=1 / 3)
     law = InterceptController(law.config, moving)
     payload = torch.tensor([0.5 / 3, 0.0])  # it moves to the right, the pedestrian goes up
-    crossing = replace(placed((6.0, -3.0)), heading=torch.tensor([[0.0, 1.0]]).double())
+    crossing = replace(placed((4.0, -2.0)), heading=torch.tensor([[0.0, 1.0]]).double())
     (time,) = law.arrival(crossing, payload).tolist()
-    met_at = torch.tensor([6 - 0.5 / 3 - time / 3, -3 + 0.35 * time])
+    met_at = torch.tensor([4 - 0.5 / 3 - time / 3, -2 + 0.35 * time])
     assert float(met_at.norm()) == pytest.approx(3.2)
-    assert 0 < time < 15
+    assert 0 < time < 4

@@ -24,6 +24,7 @@ class Task(Config):
     name: ClassVar[str]
     meaning: ClassVar[str]
     words: ClassVar[tuple[str, str, str]] = ('sheep', 'shepherd', 'goal')  # in pictures
+    progress: ClassVar[str] = ''  # what a demo says of the moment, a format of its metrics
     flock: ClassVar[str] = 'strombom'  # flock model by default
     world: ClassVar[Mapping[str, Any]] = {}  # defaults of WorldConfig by path
     training: ClassVar[Mapping[str, Any]] = {}  # defaults of the training's task by name

@@ -22,6 +22,7 @@ class Herding(Task):
 
     name = 'herding'
     meaning = 'herd the flock into the goal'
+    progress = '{fraction_in_goal:4.0%} in goal, flock {goal_distance:5.1f} m from its center'
     terms = ('occupancy', 'shaping')
     metrics = METRICS
     achieved = 'fraction_in_goal'

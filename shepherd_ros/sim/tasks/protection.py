@@ -38,6 +38,7 @@ class Protection(Task):
     name = 'protection'
     meaning = 'keep a moving crowd away from a payload that travels to its destination'
     words = ('pedestrians', 'escort', 'payload')
+    progress = 'nearest pedestrian {gap:5.1f} m from the region, {intruders:.0f} were in it'
     flock = 'crowd'
     world = {'n_sheep': 40, 'goal_radius': 2.0, 'goal_speed': 1 / 3}  # noqa: RUF012
     training = {  # noqa: RUF012
