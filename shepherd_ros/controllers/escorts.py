@@ -166,7 +166,7 @@ class HuddleController(Escorts):
     config_type = Config
     label = 'huddle'
     order = 23
-    style = ('#D55E00', ':', 'h')
+    style = ('#D55E00', ':', 'v')
 
     def places(self, state: WorldState, payload: Tensor) -> Tensor:
         """Return the places, (..., H, 2) m."""

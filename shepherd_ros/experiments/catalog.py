@@ -93,7 +93,7 @@ def _cases(name: str, title: str, settings: Iterable[Setting], **options: Any) -
 def _escorting(name: str, title: str, quick: Sequence[Any], **axis: Sequence[Any]) -> Experiment:
     """Return an experiment of payload protection along an axis; quick are its ends."""
     (field,) = axis
-    options = {'base': _PAYLOAD, 'controllers': ESCORTS}
+    options = {'base': _PAYLOAD, 'controllers': ESCORTS, 'episodes': 50}
     return _sweep(name, title, PROTECTED, {field: quick}, **options, **axis)
 
 
@@ -225,6 +225,7 @@ EXPERIMENTS: dict[str, Experiment] = {
             _PAYLOADS,
             panels=PROTECTED,
             controllers=ESCORTS,
+            episodes=50,
         ),
     )
 }

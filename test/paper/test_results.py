@@ -8,12 +8,14 @@ from pathlib import Path
 import re
 
 import pytest
-from shepherd_ros.experiments.catalog import EXPERIMENTS, OF_THE_PAPER
+from shepherd_ros.experiments.catalog import EXPERIMENTS, GROUPS, OF_THE_PAPER
 from shepherd_ros.experiments.results import read_results
 from shepherd_ros.experiments.samples import samples_of
 from shepherd_ros.paper.claims import DISAGREES, VERDICTS
 from shepherd_ros.paper.curves import find_curves
 from shepherd_ros.paper.primary import primary_policies
+from shepherd_ros.paper.protection_page import protection_page, protection_verdicts
+from shepherd_ros.paper.protection_statements import PROTECTION_CLAIMS
 from shepherd_ros.paper.statements import CLAIMS
 from shepherd_ros.paper.verdict_tables import TITLES
 from shepherd_ros.paper.verdicts import verdicts_on_curves, verdicts_on_samples
@@ -82,3 +84,16 @@ def test_links_of_the_pages_resolve() -> None:
     for page in RESULTS.glob('*.md'):
         for target in re.findall(r'\]\(([^)\s]+)\)', page.read_text(encoding='utf-8')):
             assert target.startswith('http') or (RESULTS / target).exists(), f'{target} of {page}'
+
+
+def test_the_page_of_protection_follows_from_its_rows() -> None:
+    rows = read_results([RESULTS / 'protection.parquet'])
+    names = GROUPS['protection']
+    found = {n: samples_of(rows, EXPERIMENTS[n], least=2, whole=True) for n in names}
+    samples = {name: each for name, each in found.items() if each is not None}
+    assert tuple(samples) == names
+    causes = tomllib.loads((RESULTS / 'causes.toml').read_text(encoding='utf-8'))['beyond']
+    page = (RESULTS / 'protection.md').read_text(encoding='utf-8')
+    command = re.findall('^Made by `(.*?)`', page, re.MULTILINE)[0]
+    assert protection_page(samples, names, causes, rows, command) == page
+    assert len(protection_verdicts(samples)) == len(PROTECTION_CLAIMS) == 8
