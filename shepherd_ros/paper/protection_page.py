@@ -15,12 +15,12 @@ from shepherd_ros.paper.report import origin, policies
 from shepherd_ros.paper.verdict_tables import counts_in_words, number_table
 from shepherd_ros.paper.verdicts import Verdict, verdicts_on_samples
 
-RULE = """\
+_RULE = """\
 The statements are this project's, and the task's numbers are choices: the paper gives none. A
 number *agrees* if its whole 95 % bootstrap interval lies within the bounds, *disagrees* if none of
 it does, and is *undecided* otherwise; all controllers have the same starts. Clean success is an
 arrival of the payload without a pedestrian in its region at any step."""
-COLUMNS = ('statement', 'verdict', 'number', 'measured', 'agrees if', 'verdict')
+_COLUMNS = ('statement', 'verdict', 'number', 'measured', 'agrees if', 'verdict')
 
 
 def protection_verdicts(samples: Mapping[str, Samples]) -> list[Verdict]:
@@ -55,9 +55,9 @@ def protection_page(
         '',
         f'Of {len(outcomes)} statements: {counts_in_words(outcomes)}.',
         '',
-        *number_table(outcomes, COLUMNS),
+        *number_table(outcomes, _COLUMNS),
         '',
-        RULE,
+        _RULE,
         '',
     ]
     for name, found in samples.items():

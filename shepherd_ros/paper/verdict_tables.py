@@ -30,7 +30,7 @@ TITLES = {
     'fig9': 'Figure 9: value of a third shepherd',
 }
 
-OF_THE_PAPER = (
+VERDICT_COLUMNS = (
     'the paper states', 'verdict', 'number', 'ours', 'agrees if', 'verdict', 'by bounds alone',
     'until home',
 )  # fmt: skip
@@ -94,7 +94,9 @@ def finding_text(finding: ClauseFinding) -> str:
     return f'{text}; {finding.reason}' if finding.reason else text
 
 
-def number_table(outcomes: Sequence[Verdict], columns: Sequence[str] = OF_THE_PAPER) -> list[str]:
+def number_table(
+    outcomes: Sequence[Verdict], columns: Sequence[str] = VERDICT_COLUMNS
+) -> list[str]:
     """Return the table of the numbers of statements, as many columns of it as have a title."""
     marks = ('---', '---', '---', '--:', '--:', '---', '---', '---')[: len(columns)]
     lines = [f'| {" | ".join(columns)} |', f'|{"|".join(marks)}|']
