@@ -82,15 +82,18 @@ lint: setup  # ruff, import-linter, mypy, codespell
 
 # The policy `general` from nothing: PPO from scratch learns to drive; DAgger teaches two modes, to
 # drive as that policy and to hold as drover; PPO makes it faster; DAgger again, with more small
-# teams and noise. A training that was interrupted goes on, and rows that are there stay.
+# teams and noise, then with goals of all sizes that move. A training that was interrupted goes on,
+# and rows that are there stay.
 TRAINED ?= out/train
 SAMPLES ?= 5000000
 ROUNDS ?= 90
 FINE_SAMPLES ?= 400000
-LAST_ROUNDS ?= 24
+SMALL_TEAM_ROUNDS ?= 24
+LAST_ROUNDS ?= 28
 DRIVES := $(TRAINED)/drives/best.safetensors
 HOLDS := $(TRAINED)/holds/best.safetensors
 FAST := $(TRAINED)/fast/best.safetensors
+SMALL_TEAMS := $(TRAINED)/small_teams/best.safetensors
 SMALL := --policy.observation.layout ring --policy.network.padding circular \
   --policy.network.filters-1 16 --policy.network.filters-2 32 --policy.network.hidden 128
 WORLDS := --sheep-min 10 --repulsion-min 0.5 --repulsion-max 4 --noise-max 2 \
@@ -114,11 +117,20 @@ train: setup  # the policy `general` from nothing: hours on one core; out/train/
 	  --samples $(FINE_SAMPLES) --eval-freq 25 --eval-episodes 36 --eval-noise 1.5 \
 	  --eval-sheep 100,200 --eval-shepherds 1,3,6 $(JUDGED) --time-weight 2 --out $(TRAINED)/fast
 	$(BIN)/shepherd train dagger --pretrained $(FAST) --teacher composite:policy:$(FAST),drover \
-	  --rounds $(LAST_ROUNDS) --teacher-rounds 1 --example-interval 2 --learning-rate 2e-4 \
+	  --rounds $(SMALL_TEAM_ROUNDS) --teacher-rounds 1 --example-interval 2 --learning-rate 2e-4 \
 	  $(WORLDS) --sheep-max 250 --team-exponent 1.5 --example-team-exponent 0.5 --home-share 0.4 \
 	  --episode-steps 320 --clip-speed 1 --buffer-size 120000 --eval-freq 4 --eval-episodes 24 \
 	  --eval-noise 1.7 --eval-sheep 100 --eval-shepherds 1,3 --eval-sample-std 0.08 $(JUDGED) \
-	  --time-weight 1 --out $(TRAINED)/general
+	  --time-weight 1 --out $(TRAINED)/small_teams
+	$(BIN)/shepherd train dagger --pretrained $(SMALL_TEAMS) \
+	  --teacher composite:policy:$(SMALL_TEAMS),drover,0.85,1.15 --teacher-goal-max 6 \
+	  --policy.observation.range-min 1.5 --rounds $(LAST_ROUNDS) --teacher-rounds 1 \
+	  --example-interval 2 --learning-rate 2e-4 $(WORLDS) --sheep-max 300 --goal-radius-min 3 \
+	  --goal-speed-max 0.2 --goal-still-share 0.7 --team-exponent 1.5 \
+	  --example-team-exponent 0.5 --home-share 0.4 --episode-steps 320 --clip-speed 1 \
+	  --buffer-size 120000 --eval-freq 4 --eval-episodes 16 --eval-noise 1.7 --eval-sheep 100 \
+	  --eval-shepherds 1,6 --eval-sample-std 0.08 $(JUDGED) --eval-steps 400 --time-weight 1 \
+	  --out $(TRAINED)/general
 	$(BIN)/shepherd evaluate table --sheep 100 --shepherds 1 3 6 --episodes 32 --workers 2 \
 	  --controllers policy:$(TRAINED)/general/best.safetensors pierson strombom --out $(TRAINED)/rows
 
