@@ -21,6 +21,7 @@ import pytest
 from shepherd_ros.console import drives
 from shepherd_ros.console.messages import MESSAGE_KINDS
 from shepherd_ros.console.page_server import PageServer
+from shepherd_ros.nodes import console_calls
 from shepherd_ros.nodes.console_calls import Done
 from shepherd_ros.nodes.console_node import ConsoleNode
 from shepherd_ros.recordings.episodes import iter_episodes
@@ -64,6 +65,7 @@ def console(
 ) -> Iterator[ConsoleNode]:
     """Run a console, whose recorder and jobs are forks."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(console_calls, 'ANSWER_LIMIT', DEADLINE)
         patch.setattr(sys, 'executable', str(commands / 'python'))
         node = shared_graph.host('console', port=0, record_dir=str(record_dir))
         shared_graph.until(lambda: node.address, 'the console listens')
@@ -451,6 +453,7 @@ def test_a_page_takes_a_shepherd_by_hand_and_gives_it_back(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(drives, 'DEAD_MAN', DEADLINE)
+    monkeypatch.setattr(drives, 'GIVE_BACK_AFTER', DEADLINE)
     ask(shared_graph, page, 'driver', shepherd=0, source='idle')
     shared_graph.until(lambda: page.last('drivers')['drivers'][0] == 'idle', 'idle drives')
     commands = shared_graph.collect('shepherd_0/cmd_vel/console', TwistStamped)

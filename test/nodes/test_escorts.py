@@ -42,9 +42,9 @@ def test_episodes_over_topics_end_where_those_of_env_step_do(
     ends = graph.collect('episode', String, LATCHED)
     values = {name: graph.collect(f'metrics/{name}', Float64) for name in WORLD.task.metrics}
     track = graph.track()
-    graph.start('metrics')
+    graph.host('metrics')
     graph.until(lambda: graph.node.count_publishers(f'metrics/{next(iter(METRICS))}'), 'metrics')
-    graph.start(
+    graph.host(
         'flock_sim', task='protection', n_sheep=30, n_shepherds=2, episode_steps=400,
         seed=seed, episodes=1,
     )  # fmt: skip
@@ -52,7 +52,7 @@ def test_episodes_over_topics_end_where_those_of_env_step_do(
         lambda: all(map(graph.node.count_publishers, (f'metrics/{n}' for n in values))),
         'the metrics of protection',
     )
-    graph.start('controller', controller=controller)
+    graph.host('controller', controller=controller)
     graph.until(lambda: len(track.stamps) >= len(states), f'{len(states)} states')
     assert_same_states(track, states)
     graph.until(lambda: Episode.from_json(ends[-1].data).end, 'the end')

@@ -12,6 +12,7 @@ from nodes.process import Graph, LATCHED, twist
 import numpy as np
 import pyarrow.parquet as parquet
 import pytest
+from sensor_msgs.msg import LaserScan
 from shepherd_ros.cli import main
 from shepherd_ros.config import ConfigError
 from shepherd_ros.datasets.dataset_report import Report
@@ -64,6 +65,10 @@ def bag(shared_graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Path:
         topics += [f'shepherd_{h}/scan/{name}' for name in ('sheep', 'shepherds', 'goal')]
     for topic in topics:
         graph.until_says(recorder, f'recording /{topic} ')
+    # what was published before the recorder listened is published again with the paused state
+    again = [graph.collect(f'shepherd_{h}/scan/goal', LaserScan) for h in range(2)]
+    again += [graph.collect(f'shepherd_{h}/cmd_vel', TwistStamped) for h in range(2)]
+    graph.until(lambda: all(len(messages) >= 2 for messages in again), 'the first state again')
     for _ in range(STEPS // 3):
         advance(graph, sim)
     keys.publish(twist(0, *BY_HAND))

@@ -51,15 +51,14 @@ def test_nodes_start_in_any_order(graph: Graph, last: str) -> None:
     }
     track = graph.track()
     for name in nodes.keys() - {last}:
-        graph.start(name, **nodes[name])
+        graph.host(name, **nodes[name])
     graph.until_nodes(*(nodes.keys() - {last}))
     if last != 'flock_sim':
         graph.until(lambda: track.stamps, 'the first state')
         assert_stands(graph, track)
-    process = graph.start(last, **nodes[last])
+    node = graph.host(last, **nodes[last])
     if last == 'flock_sim':  # we may hear none of it, as nobody waits for us
-        graph.until_says(process, '1 episodes done')
-        assert process.wait() == 0
+        graph.until(lambda: node.finished, 'the whole episode')
     else:
         graph.until(lambda: whole(track), 'the whole episode')
         assert_episode_is_that_of_the_core(track)

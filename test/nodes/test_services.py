@@ -277,22 +277,22 @@ def test_a_controller_sees_a_moved_goal_from_the_very_state_with_which_it_was_to
 ) -> None:
     track = graph.track()
     goals = graph.collect('goal', PoseStamped, LATCHED)
-    graph.start('flock_sim', n_sheep=10, n_shepherds=2, episode_steps=400, episodes=1)
+    graph.host('flock_sim', n_sheep=10, n_shepherds=2, episode_steps=200, episodes=1)
     graph.host('idle', shepherd_ids=[1])  # the world does not run away from the probe
     publisher = graph.publisher('goal_pose', PoseStamped)
     graph.until(lambda: track.stamps and goals, 'the first state and goal')
     graph.until(publisher.get_subscription_count, 'a reader of goal_pose')
-    graph.start(controller, shepherd_ids=[0])
+    graph.host(controller, shepherd_ids=[0])
     for k in range(4):
         graph.until(lambda k=k: len(track.stamps) > 10 * k + 2, 'some steps')
         x = 5.0 * (k + 1)
         publisher.publish(pose_of(x, -8.0))
         # two goals between two states would be one, the later
         graph.until(lambda x=x: goals[-1].pose.position.x == x, f'goal at {x} m')
-    graph.until(lambda: len(track.stamps) == 401, 'the whole episode')
+    graph.until(lambda: len(track.stamps) == 201, 'the whole episode')
     # the first may be told again while the controller starts
     assert len({(goal.pose.position.x, goal.pose.position.y) for goal in goals}) == 5
-    world = WorldConfig(n_sheep=10, n_shepherds=2, episode_steps=400)
+    world = WorldConfig(n_sheep=10, n_shepherds=2, episode_steps=200)
     assert_same_states(track, run_with_a_moving_goal(track, goals, controller, world))
 
 

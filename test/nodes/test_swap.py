@@ -44,7 +44,7 @@ def start_controllers(graph: Graph, remaps: dict[str, list[str]]) -> None:
         words = remap('__ns', f'/{space}')
         for topic in STATE:
             words += remap(topic, f'/{topic}')
-        graph.start(name, *words, *remaps.get(name, []))
+        graph.host(name, *words, *remaps.get(name, []))
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_each_shepherd_obeys_the_controller_whose_topic_is_remapped_to_it(
         topic = f'shepherd_{h}/cmd_vel'
         remaps[name] += remap(topic, f'/{topic}')
     track = graph.track()
-    graph.start('flock_sim', n_sheep=40, episode_steps=STEPS, episodes=1)
+    graph.host('flock_sim', n_sheep=40, episode_steps=STEPS, episodes=1)
     graph.until(lambda: track.stamps, 'the first state')
     start_controllers(graph, remaps)
     graph.until(lambda: len(track.stamps) > STEPS, 'the whole episode')
@@ -78,7 +78,7 @@ def test_remapping_on_the_side_of_the_world_decides_as_well(graph: Graph) -> Non
     for h, name in enumerate(drivers):
         words += remap(f'shepherd_{h}/cmd_vel', f'/{SPACES[name]}/shepherd_{h}/cmd_vel')
     track = graph.track()
-    graph.start('flock_sim', *words, n_sheep=40, episode_steps=STEPS, episodes=1)
+    graph.host('flock_sim', *words, n_sheep=40, episode_steps=STEPS, episodes=1)
     graph.until(lambda: track.stamps, 'the first state')
     start_controllers(graph, {})
     graph.until(lambda: len(track.stamps) > STEPS, 'the whole episode')

@@ -104,9 +104,9 @@ def test_the_whole_stack_runs_on_simulated_time_and_gives_the_same_states(graph:
         'metrics': {},
     }
     for name, given in parameters.items():
-        graph.start(name, use_sim_time=True, **given)
+        graph.host(name, use_sim_time=True, **given)
     graph.until(lambda: track.stamps, 'the first state')
-    graph.start('strombom', use_sim_time=True)
+    graph.host('strombom', use_sim_time=True)
     graph.until(lambda: len(track.stamps) > 20, 'a whole episode')
     states, _ = rollout('strombom', EnvConfig(world=WorldConfig(episode_steps=20, **SMALL)))
     assert_same_states(track, states, track.stamps[:21])
@@ -116,6 +116,7 @@ def test_realtime_is_wall_time_even_if_the_world_itself_is_told_to_use_its_own_c
     graph: Graph,
 ) -> None:
     track = graph.track()
-    graph.start('flock_sim', mode='realtime', rate=50.0, use_sim_time=True, **SMALL)
+    graph.host('flock_sim', mode='realtime', rate=50.0, use_sim_time=True, **SMALL)
     graph.until(lambda: len(track.stamps) > 20, 'the world moves')
-    graph.until_status('flock_sim: episode', 'running')
+    # a slow machine says how many steps it makes instead
+    graph.until_status('flock_sim: episode', 'running|steps per second are made')
