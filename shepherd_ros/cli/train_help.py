@@ -15,7 +15,7 @@ from shepherd_ros.config import choices_of, Config
 COMMON = {  # of all trainings: default and meaning
     'out': (None, 'folder of the run; one that was interrupted goes on'),
     'pretrained': ('', 'checkpoint to start from, a file or a shipped name; with its --policy'),
-    'quick': (False, 'a first result in ten minutes, small network'),
+    'quick': (False, 'first result in ten minutes, small network'),
     'threads': (1, 'threads of torch'),
     'device': ('cpu', 'of worlds and networks of PPO: cpu or cuda'),
 }

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from shepherd_ros.config import ConfigError
 from shepherd_ros.recordings.episodes import Frame, RecordedEpisode
 from shepherd_ros.sim.lidar_layout import PAPER_CHANNELS, ScanLayout
-from shepherd_ros.sim.tasks import TASKS
 from shepherd_ros.wire.decode import Floats, Ranges
 
 Refuse = Callable[[str, str, int], None]  # reason, place of the first, steps of single shepherds
@@ -74,6 +73,13 @@ class Steps:
         return f'{self.bag}:{self.episode}'
 
 
+def _meaning(task: str) -> str:
+    """Return what a task asks of its team in words; the name of one that is not known here."""
+    from shepherd_ros.sim.tasks import TASKS  # which loads torch
+
+    return TASKS[task].meaning if task in TASKS else task
+
+
 def steps_of(episode: RecordedEpisode, bag: str, number: int, refuse: Refuse) -> Steps:
     """
     Return the steps of an episode that have poses, scan and command of a shepherd.
@@ -116,7 +122,7 @@ def steps_of(episode: RecordedEpisode, bag: str, number: int, refuse: Refuse) ->
         channels=episode.channels,
         range_max=range_max,
         partial=not episode.whole,
-        task=TASKS[episode.task].meaning if episode.task in TASKS else episode.task,
+        task=_meaning(episode.task),
         lidar=np.stack([row[2] for row in steps]).astype(np.float32) if steps else empty,
         action=np.array([row[3] for row in steps], np.float32).reshape(-1, 2),
         driver=np.array(drivers if has_drivers else [], np.str_),

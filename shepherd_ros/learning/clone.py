@@ -37,9 +37,7 @@ class CloneConfig(Config):
     )
     gate_weight: float = option(GATE_WEIGHT, 'weight of the cross-entropy of the gate', low=0.0)
     hold_weight: float = option(1.0, 'weight of errors while the teacher holds', low=0.0)
-    ema_decay: float = option(
-        0.998, 'share that the running mean of the weights keeps in a step', low=0.0, high=1.0
-    )
+    ema_decay: float = option(0.998, 'share of the mean weights kept in a step', low=0.0, high=1.0)
 
 
 class Examples:

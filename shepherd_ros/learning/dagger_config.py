@@ -21,9 +21,7 @@ class DaggerConfig(Config):
         'controller that is imitated; a policy as policy:CHECKPOINT, two as composite:DRIVE,HOLD',
     )
     reynolds_teacher: str = option('drover', 'the same for a Reynolds flock')
-    teacher_goal_max: float = option(
-        0.0, 'a policy that teaches is shown no wider goal than this [m]; 0: as it is', low=0.0
-    )
+    teacher_goal_max: float = option(0.0, 'widest goal that a policy sees [m]; 0: any', low=0.0)
     rounds: int = option(60, 'rounds of driving and learning', low=1)
     teacher_rounds: int = option(6, 'first rounds, in which the teacher drives', low=0)
     steps_per_round: int = option(40, 'steps of a round', low=1)

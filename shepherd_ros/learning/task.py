@@ -37,14 +37,14 @@ class TaskConfig(Extended):
     preset: str = option('default', 'named setting of time step and flock')
     flock: str = option(
         'strombom',
-        'flock model, or both of the paper',
+        'model, or both of the paper',
         choices=lambda: (*FLOCK_MODELS, 'both'),
     )
     sheep_min: int = option(100, 'fewest sheep', low=1, high=10_000)
     sheep_max: int = option(100, 'most sheep', low=1, high=10_000)
     sheep_scale: str = option(
         'linear',
-        'linear: each size of a flock as often as any other; log: each doubling as often',
+        'each size (linear) or doubling (log) as often',
         choices=('linear', 'log'),
     )
     shepherds_min: int = option(1, 'fewest shepherds', low=1, high=100)
@@ -57,12 +57,8 @@ class TaskConfig(Extended):
     noise_free_share: float = option(
         0.0, 'share of episodes without that noise', low=0.0, high=1.0
     )
-    goal_speed_max: float = option(
-        0.0, 'highest speed of a goal [m/s]; 0: as in the world of the task', low=0.0
-    )
-    goal_still_share: float = option(
-        0.5, 'of episodes with goals of any speed, share whose goal stands', low=0.0, high=1.0
-    )
+    goal_speed_max: float = option(0.0, 'highest speed of a goal [m/s]; 0: unchanged', low=0.0)
+    goal_still_share: float = option(0.5, 'share of those goals that stand', low=0.0, high=1.0)
     team_exponent: float = option(
         0.0,
         'a team of M is drawn by M to minus this',
@@ -70,7 +66,7 @@ class TaskConfig(Extended):
     )
     home_share: float = option(
         0.0,
-        'share of episodes that start with the flock in the goal and shepherds all around it',
+        'share of episodes that start at the goal',
         low=0.0,
         high=1.0,
     )
@@ -81,7 +77,7 @@ class TaskConfig(Extended):
     )
     effort_from: str = option(
         'start',
-        'where: always, or with the flock at home',
+        'always, or when home',
         choices=('start', 'home'),
     )
     reward: RewardConfig = part(RewardConfig)

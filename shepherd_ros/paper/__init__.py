@@ -10,6 +10,7 @@ __all__ = [
     'preset_scores',
     'preset_search',
     'primary',
+    'protection_page',
     'report',
     'stopping',
     'summary',
