@@ -529,8 +529,12 @@ def test_the_value_map_is_shown_when_asked_for(herding: Herding, page: ConsolePa
 def test_it_connects_again_by_itself(herding: Herding, page: ConsolePage) -> None:
     page.take(0)
     page.hold('w')
-    page.run('LINK.socket.close()')
-    page.until_text('#link', lambda text: text == 'Reconnecting')
+    page.run(
+        'window.SEEN = []; const link = find("link");'
+        'new MutationObserver(() => SEEN.push(link.textContent)).observe(link, {childList: true});'
+        'LINK.socket.close()'
+    )
+    page.until(lambda: 'Reconnecting' in page.run('return SEEN'), 'it tries again')
     until(lambda: herding.driven[0] == 'strombom', 'the shepherd is given back')
     page.let_go('w')
     page.until_text('#link', lambda text: text == 'Live')

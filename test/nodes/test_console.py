@@ -502,14 +502,16 @@ def test_a_page_takes_a_shepherd_by_hand_and_gives_it_back(
 def test_a_recording_is_whole_and_is_replayed(
     shared_graph: Graph, page: TestPage, record_dir: Path
 ) -> None:
-    ask(shared_graph, page, 'rate', rate=20.0)  # at which no machine is too busy to record
+    ask(shared_graph, page, 'rate', rate=5.0)  # at which no machine is too busy to record
+    before = len(page.frames)
+    shared_graph.until(lambda: len(page.frames) > before + 3, 'everything is compiled')
     assert 'recording into' in ask(shared_graph, page, 'record')
     shared_graph.until(lambda: page.last('recording')['state'] == 'on', 'it is told')
     assert 'is being recorded' in refused(shared_graph, page, 'record')
     ask(shared_graph, page, 'settings', values={'episode_steps': 60})
     ask(shared_graph, page, 'reset', seed=3)
     shared_graph.until(
-        lambda: page.last('episode')['seed'] == 3 and page.frames[-1].step > 20, 'some'
+        lambda: page.last('episode')['seed'] == 3 and page.frames[-1].step > 15, 'some'
     )
     assert 'the bag is whole' in ask(shared_graph, page, 'stop_recording')
     name = page.last('recording')['bag']
@@ -539,6 +541,7 @@ def test_a_recording_is_whole_and_is_replayed(
         lambda: f'another future: {page.last("job")}',
         200,
     )
+    assert page.last('job')['state'] == 'done', page.last('job')
     result = page.last('job')['result']
     assert (len(result['tracks']), result['parting']) == (2, 10)
     assert all(len(row['values']) == 2 for row in result['table'])
