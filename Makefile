@@ -34,7 +34,7 @@ PYTEST := env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n 3 --dist loa
 test: setup browser  # all tests but those of whole systems
 	$(PYTEST) -m 'not system'
 
-test-system: setup browser  # builds, commands of the manual, pages in a browser, trainings, signals
+test-system: setup browser  # builds, commands of the manual, pages in a browser, searches, trainings, signals
 	$(PYTEST) -m system
 
 help:  # this list

@@ -43,6 +43,7 @@ TINY = Setting(sheep=4, shepherds=2, steps=6)
 WORDS = ['--sheep', '4', '--steps', '6', '--episodes', '3']
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(('name', 'least'), [('strombom', 0.95), ('pierson', 0.99)])
 def test_a_heuristic_brings_the_flock_home_on_the_default_world(name: str, least: float) -> None:
     world = WorldConfig()

@@ -92,6 +92,7 @@ def nearness(moment: Moment) -> Tensor:
     return -torch.linalg.vector_norm(state.shepherds - state.goal[:, None], dim=-1) / 10
 
 
+@pytest.mark.system
 def test_ppo_learns_to_go_to_the_goal() -> None:
     torch.manual_seed(1)
     policy = Policy(

@@ -49,12 +49,17 @@ def run_whole(
 @pytest.mark.parametrize(
     ('controller', 'flock', 'changes'),
     [
-        ('strombom', 'reynolds', {}),
+        pytest.param('strombom', 'reynolds', {}, marks=pytest.mark.system),
         ('pierson', 'strombom', {}),
         ('idle', 'strombom', {}),
-        ('random', 'strombom', {}),
+        pytest.param('random', 'strombom', {}, marks=pytest.mark.system),
         ('drover', 'strombom', {'goal_speed': 0.2}),
-        ('strombom', 'strombom', {'goal_speed': 0.1, 'goal_path': 'circle'}),
+        pytest.param(
+            'strombom',
+            'strombom',
+            {'goal_speed': 0.1, 'goal_path': 'circle'},
+            marks=pytest.mark.system,
+        ),
     ],
 )
 def test_fifty_steps_over_topics_are_fifty_calls_of_env_step(
@@ -81,7 +86,10 @@ def test_a_composite_over_topics_drives_and_holds_as_in_the_core(graph: Graph) -
     run_whole(graph, track, states, 'composite', **options)
 
 
-@pytest.mark.parametrize(('noise_std', 'executor'), [(0.0, 'single'), (0.5, 'events')])
+@pytest.mark.parametrize(
+    ('noise_std', 'executor'),
+    [(0.5, 'events'), pytest.param(0.0, 'single', marks=pytest.mark.system)],
+)
 def test_scans_and_metrics_over_topics_are_those_of_the_core(
     graph: Graph, noise_std: float, executor: str
 ) -> None:

@@ -696,6 +696,7 @@ def test_rows_of_two_kinds_are_not_mixed(tmp_path: Path) -> None:
         samples_of(Results(pa.concat_tables([whole, again])), other)
 
 
+@pytest.mark.system
 def test_the_page_has_every_statement_and_the_same_bytes_again(tmp_path: Path) -> None:
     for name in ('fig6', 'starts'):
         experiment = EXPERIMENTS[name]

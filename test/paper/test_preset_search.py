@@ -88,6 +88,7 @@ def test_a_gap_is_the_way_to_the_nearer_bound() -> None:
     assert gap_of(math.nan, 4.0, 8.0) == gap_of(math.inf, -math.inf, 1.0) == math.inf
 
 
+@pytest.mark.system
 def test_a_search_that_is_cut_off_goes_on_with_the_same_candidates(tmp_path: Path) -> None:
     whole = list(search(tmp_path / 'whole', 3, 3, 2, steps=2))
     list(islice(search(tmp_path / 'cut', 3, 3, 2, steps=2), 1))
@@ -135,6 +136,7 @@ def test_only_cells_that_a_choice_changes_are_run_again() -> None:
     assert tried == attempt(changed, 2, steps=2)
 
 
+@pytest.mark.system
 def test_presets_stand_side_by_side_with_their_scores() -> None:
     lines = preset_scores(['default', 'fine_dt'], 2, steps=2).splitlines()
     rows = [[cell.strip() for cell in line.strip('|').split('|')] for line in lines]
@@ -148,6 +150,7 @@ def test_presets_stand_side_by_side_with_their_scores() -> None:
     assert rows[-1][3] == f'**{tried.score:g} of 19**'
 
 
+@pytest.mark.system
 def test_the_best_is_reported_on_other_seeds_than_those_it_was_found_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

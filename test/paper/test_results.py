@@ -44,6 +44,7 @@ def test_the_counts_are_of_the_three_presets_and_of_all_statements() -> None:
         assert sum(counted.values()) == len(CLAIMS) + 3 == 35
 
 
+@pytest.mark.system
 @pytest.mark.parametrize('preset', list(COUNTS))
 def test_pages_and_counts_are_those_of_the_rows(preset: str) -> None:
     rows = read_results(sorted(RESULTS.glob('*.parquet')))
@@ -86,6 +87,7 @@ def test_links_of_the_pages_resolve() -> None:
             assert target.startswith('http') or (RESULTS / target).exists(), f'{target} of {page}'
 
 
+@pytest.mark.system
 def test_the_page_of_protection_follows_from_its_rows() -> None:
     rows = read_results([RESULTS / 'protection.parquet'])
     names = GROUPS['protection']

@@ -133,6 +133,7 @@ def counterfactual(capsys: pytest.CaptureFixture[str]) -> Callable[..., Said]:
     return run
 
 
+@pytest.mark.system
 def test_the_verb_writes_a_bag_a_table_and_pictures_of_both_futures(
     tmp_path: Path, counterfactual: Callable[..., Said]
 ) -> None:

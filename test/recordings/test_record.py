@@ -95,6 +95,7 @@ def test_scans_of_a_policy_are_of_the_lidar_of_its_training(tmp_path: Path) -> N
         assert (seen.max() <= 20.0) == (reach == 20.0)
 
 
+@pytest.mark.system
 def test_the_verb_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
     out = tmp_path / 'bags'
     assert main(['record', '--out', str(out), '--episodes', '2', *WORDS]) == 0
