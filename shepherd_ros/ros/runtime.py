@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+import faulthandler
 from functools import partial
 import gc
 import os
@@ -186,9 +187,12 @@ def shut_down(nodes: Sequence[ShepherdNode], name: str, code: int) -> None:
     timer = Timer(DDS_SHUTDOWN_TIMEOUT, exit_now)
     timer.daemon = True
     timer.start()
+    # DDS may hang in a call that keeps the interpreter to itself, where no timer of Python runs
+    faulthandler.dump_traceback_later(2 * DDS_SHUTDOWN_TIMEOUT, exit=True, file=2)
     for node in nodes:
         node.destroy_node()
     rclpy.try_shutdown()
+    faulthandler.cancel_dump_traceback_later()
     timer.cancel()
 
 

@@ -136,6 +136,21 @@ def test_a_node_that_dds_does_not_let_go_is_left_with_its_exit_code() -> None:
     assert child.stderr == 'lidar: DDS did not let go within 0.1 s: left it\n'
 
 
+def test_a_node_ends_also_where_dds_keeps_the_interpreter_to_itself() -> None:
+    code = (
+        'import ctypes\n'
+        'from shepherd_ros.ros import runtime\n'
+        'class Stuck:\n'
+        '    def destroy_node(self): ctypes.PyDLL(None).sleep(60)\n'
+        'runtime.DDS_SHUTDOWN_TIMEOUT = 0.1\n'
+        "runtime.shut_down([Stuck()], 'lidar', 3)\n"
+    )
+    child = run_python(code)
+    assert child.returncode == 1
+    assert child.stderr.startswith('Timeout (0:00:00.2')
+    assert 'in destroy_node' in child.stderr
+
+
 # --- help ---------------------------------------------------------------------------------------
 
 
