@@ -28,8 +28,8 @@ console: $(VENV)/.demo  # everything runs until Ctrl-C, with a page in the brows
 	$(BIN)/shepherd console --controller $(CONTROLLER) --sheep $(SHEEP) --shepherds $(SHEPHERDS) \
 	  --flock $(FLOCK) --preset $(PRESET) --seed $(SEED) --steps $(STEPS) --port $(PORT)
 
-# Four workers also on two cores, as tests of nodes wait; what one compiles serves all.
-PYTEST := env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n 4 --dist loadgroup
+# Three workers also on two cores, as tests of nodes wait; what one compiles serves all.
+PYTEST := env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n 3 --dist loadgroup
 
 test: setup browser  # all tests but those of whole systems
 	$(PYTEST) -m 'not system'
